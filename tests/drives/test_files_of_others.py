@@ -111,6 +111,10 @@ def test_so_many_values_and_no_more(tmp_path, monkeypatch):
     assert len(read_tree(file)["a"]) == 997
     file.write_text("a: [" + "1," * 998 + "]")
     assert "more than 1,000 values" in refusal(read_tree, file)
+    file.write_text("a: &a [" + "1," * 329 + "]\nb: [*a, *a]")
+    assert read_tree(file)["b"] == [[1] * 329] * 2
+    file.write_text("a: &a [" + "1," * 400 + "]\nb: [*a, *a]")
+    assert "row 2: more than 1,000 values, aliases expanded" in refusal(read_tree, file)
 
 
 def test_a_date_is_text(tmp_path):

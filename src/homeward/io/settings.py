@@ -66,17 +66,17 @@ class _Bounded:
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return the next node of the text."""
-        check_event: Any = self.check_event  # type: ignore[attr-defined]
-        is_alias, before, above = check_event(yaml.AliasEvent), self.values, self.deepest
+        event: Any = self.peek_event()  # type: ignore[attr-defined]
+        before, above = self.values, self.deepest
         self.values, self.depth = before + 1, self.depth + 1
         self.deepest = self.depth
         self._require_few()
         node = super().compose_node(parent, index)  # type: ignore[misc]
-        if is_alias:
+        if isinstance(event, yaml.AliasEvent):
             # The node of a ring of aliases is not complete yet.
             size, height = self.sizes.get(node, (0, MAX_DEPTH))
             self.values, self.deepest = before + size, self.depth + height
-            self._require_few(node)
+            self._require_few(event)
         else:
             self.sizes[node] = self.values - before, self.deepest - self.depth
             if isinstance(node, yaml.ScalarNode):
