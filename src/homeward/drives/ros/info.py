@@ -99,12 +99,8 @@ def log_info(
         return _folder_info("drive folder", path, given, csv.REQUIRED)
     settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = Log(path)
-    half = None if on_progress is None else lambda done: on_progress(done / 2)
-    known = survey(
-        log,
-        keep=(OUR_SETTINGS, *(kind for kinds, *_ in USES for kind in kinds)),
-        on_progress=half,
-    )
+    keep = OUR_SETTINGS, *(kind for kinds, *_ in USES for kind in kinds)
+    known = survey(log, keep, on_progress)
     cut_short = [f"{number:,} {reason}" for reason, number in log.cut_short.items()]
     try:
         plan = choose(known, calibrated(settings, path if topics is None else topics))

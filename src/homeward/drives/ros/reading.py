@@ -84,9 +84,8 @@ def read_log(
     `InputError` where the log is damaged, or its topics do not make a drive.
     """
     settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
-    first_half = None if on_progress is None else lambda done: on_progress(done / 2)
     settings = calibrated(settings, path if topics is None else topics)
-    known = survey(Log(path), keep=(OUR_SETTINGS,), on_progress=first_half)
+    known = survey(Log(path), (OUR_SETTINGS,), on_progress)
     plan = choose(known, settings, pictures=detector is not None)
     return read_planned(known, plan, topics, on_progress, detector, robot)
 

@@ -153,7 +153,8 @@ def survey(
 ) -> TopicSurvey:
     """Read the receive time and the header stamp of each message in a log.
 
-    The first messages of topics whose name or type is in `keep` are kept. `InputError` where the
+    The first messages of topics whose name or type is in `keep` are kept. `on_progress` receives
+    fractions up to 1/2, since the messages are read once more. `InputError` where the
     log is damaged, or a message is too short for its header.
     """
     from homeward.drives.ros.decoding import begins_with_header  # the extra bags
@@ -181,7 +182,7 @@ def survey(
         except OverflowError:
             raise InputError("a time beyond the year 2262", log.path, part=channel.topic) from None
         if on_progress is not None and number % PROGRESS_EVERY == 0:
-            on_progress(log.done)
+            on_progress(log.done / 2)
     topics = (
         Topic(name, kind, np.array(receive), None if header is None else np.array(header))
         for (name, kind), (receive, header) in sorted(records.items(), key=lambda item: item[0])
