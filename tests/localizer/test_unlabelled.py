@@ -215,7 +215,9 @@ def test_an_equal_room_is_like_the_other_also_in_part(mapped, unlike):
     points = points + 0.02 * rng.standard_normal(points.shape)
     covariance, allowed = equal_covariance(mapped, 0.03), np.ones((3, mapped), bool)
     given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
-    assert num_unlike(given, np.zeros(3)) == (mapped - 6, unlike)
+    none, half = np.full(mapped, ""), np.where(np.arange(mapped) < 6, "post", "lamp")
+    assert num_unlike(given, np.zeros(3), none) == (mapped - 6, unlike)
+    assert num_unlike(given, np.zeros(3), half)[1] == max(mapped - 8, 0)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -223,7 +225,7 @@ def test_most_of_a_hall_is_unlike_the_rest(seed):
     points = benchmark.scattered(seed, 25)
     covariance, allowed = equal_covariance(25, 0.03), np.ones((3, 25), bool)
     given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
-    number, unlike = num_unlike(given, np.zeros(3))
+    number, unlike = num_unlike(given, np.zeros(3), np.full(25, ""))
     assert number > 10
     assert unlike > 0.6 * number
 

@@ -607,7 +607,7 @@ REACH = 0.95
 """Quantile of the distances of sightings that is taken for the reach of the sensor, ..."""
 NUM_DISTANCES = 2000
 """... of the newest ones."""
-MAX_BEYOND, BEYOND_KEPT = 0.15, 0.005
+MAX_BEYOND, BEYOND_KEPT = 0.1, 0.005
 """Share of mapped landmarks beyond the reach, of a sensor that reaches across the map: a twentieth
 of the sightings are, by the definition of the reach; and share of a frame in it."""
 MIN_MISSES, GHOST = 15, 0.2

@@ -108,11 +108,12 @@ class Sky:
         return np.asarray(DETECTED * np.maximum(np.exp(-(beyond**2)), CLOSE / 2))
 
 
-def num_unlike(sky: Sky, pose: np.ndarray) -> tuple[int, int]:
+def num_unlike(sky: Sky, pose: np.ndarray, kinds: np.ndarray) -> tuple[int, int]:
     """Return the numbers of landmarks out of view from a pose (3,), and of those unlike the others.
 
     Others are like those in view if one shift and rotation moves these to them, within 3 sigma,
-    and does not move three of these to where none is in view.
+    and does not move three of these to where none is in view. Like ones have the same kind (n,),
+    or one has none.
     """
     at, sigma = sky.points @ [1.0, 1j], np.sqrt(sky.covariances.trace(axis1=1, axis2=2))
     center = complex(pose[0], pose[1])
@@ -127,6 +128,7 @@ def num_unlike(sky: Sky, pose: np.ndarray) -> tuple[int, int]:
     turn = np.exp(1j * np.angle(new[q, 0] / old[p]))
     copies = at[k[q], None] + turn[:, None] * (at[a] - at[i[p], None])
     fits = np.abs(copies[..., None] - at) < INLIER * np.hypot(sigma[a, None], sigma)
+    fits &= (kinds[a, None] == kinds) | (kinds[a, None] == "") | (kinds == "")
     missing = (~fits.any(axis=2) & (np.abs(copies - center) < sky.reach)).sum(axis=1)
     like = fits[..., b].any(axis=1).sum(axis=1)[missing < MINIMAL]
     unlike = b.size - int(like.max(initial=min(b.size, 2)))

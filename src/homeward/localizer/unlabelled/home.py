@@ -55,6 +55,8 @@ class HomeFinder:
         """Landmarks out of view from home, and those of them that are unlike those in view."""
         self._is_unchanged = False
         """Whether no landmark was mapped for a long path."""
+        self._has_id = False
+        """Whether a landmark that fits has an id: no other place has that."""
         self._is_limited = True
         """Whether the sensor does not reach across the map."""
         self._extended_at = 0.0
@@ -73,7 +75,7 @@ class HomeFinder:
         """
         least = MINIMAL - self._is_unchanged
         is_complete = self._is_unchanged and self._num_elsewhere < MINIMAL and not self._is_limited
-        is_explored = self._num_unlike >= least or is_complete
+        is_explored = self._num_unlike >= least or is_complete or self._has_id
         return self._is_unique and is_explored
 
     def named(self) -> dict[str, HomeBearing]:
@@ -114,7 +116,8 @@ class HomeFinder:
         found = search(sky) if sky is not None else None
         changed = self._accept(found, keys, kept)
         if sky is not None and self._pose is not None:
-            self._num_elsewhere, self._num_unlike = num_unlike(sky, self._pose)
+            kinds = np.array([names[n] for n in kept])
+            self._num_elsewhere, self._num_unlike = num_unlike(sky, self._pose, kinds)
         return changed
 
     def _accept(self, found: Ranked | None, keys: list[str], names: list[str]) -> bool:
@@ -134,6 +137,8 @@ class HomeFinder:
         elif self.assigned and not (same and found.margin > NATS_KEPT):
             self.assigned = {}
         self._pose = found.best.pose if self.assigned else None
+        fitting = np.flatnonzero(found.best.landmark >= 0).tolist()
+        self._has_id = any(not is_unlabelled(keys[i]) for i in fitting)
         apart = NATS_KEPT if self._is_unique and same else NATS_APART
         self._is_unique = bool(self.assigned) and found.margin > apart
         return self.assigned != before

@@ -31,8 +31,9 @@ class Registry:
         """... and in which both had been seen just before."""
         self.reach = math.inf
         """Distance within which most landmarks are seen [m]."""
-        self.beyond = 0.0
+        self.beyond = 1.0
         """Share of mapped landmarks beyond the reach, of the newest frames."""
+        self._num_frames = 0
         self._distances: deque[float] = deque(maxlen=NUM_DISTANCES)
         self._born = 0
 
@@ -51,7 +52,8 @@ class Registry:
         self._distances.extend(d for n, d in distances.items() if n in seen)
         if distances:
             share = sum(d > self.reach for d in distances.values()) / len(distances)
-            self.beyond += (share - self.beyond) * BEYOND_KEPT
+            self._num_frames += 1
+            self.beyond += (share - self.beyond) * max(1.0 / self._num_frames, BEYOND_KEPT)
 
     def update_reach(self) -> None:
         """Update the reach by all known distances."""
