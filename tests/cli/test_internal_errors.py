@@ -192,7 +192,6 @@ HANDLED = {
     "live/localisation.py": "the next map could not begin, after an error that was raised",
     "live/server.py": "raised in `serve`",
     "live/session.py": "an event of type error",
-    "ros/camera.py": "raised on the caller's thread",
 }
 """Modules that catch any exception without raising another, and what becomes of it."""
 
