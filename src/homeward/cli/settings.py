@@ -35,7 +35,12 @@ LISTED_ONCE: dict[str, tuple[str, str, tuple[str, ...] | None]] = {
     "drives.settings:Wheels": ("robot", "wheels", None),
     "drives.cameras.lens:Lens": ("images", "camera", ("topics",)),
     "lab.simulation.scenario:Course": ("simulate", "", ("rooms",)),
-    "lab.filters.settings:FilterSettings": ("ekf", "", ("a-ekf", "pi-ekf", "schmidt")),
+    "lab.filters.settings:FilterSettings": (
+        "ekf",
+        "",
+        ("a-ekf", "pi-ekf", "schmidt", "adaptive", "ukf"),
+    ),
+    "lab.filters.settings:CartesianSettings": ("invariant", "", ("particle",)),
 }
 """Models by the listing that has their keys, the key there, and the listings that name it (None:
 all)."""
@@ -76,7 +81,11 @@ def settings(
     if json:
         answer({"keys": [asdict(key) for key in keys(model)]})
         return
-    for key in keys(model, elsewhere=listed_elsewhere(of)):
+    known = listed_elsewhere(of)
+    if model in known:
+        say(f"all keys are as {known[model]}", "    ")
+        return
+    for key in keys(model, elsewhere=known):
         value = f"={key.default}" if key.default else ""
         say(f"{key.name}{value}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
 
