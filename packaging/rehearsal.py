@@ -56,7 +56,7 @@ INSTALL = """
 set -e
 python3 -m venv /env
 date +%s > /result/begin
-/env/bin/pip install --no-index --find-links /wheels --no-compile --log /result/log /given/*
+/env/bin/pip install --no-index --find-links /wheels --no-compile --log /result/log /given/homeward*
 date +%s > /result/end
 cd /result
 /env/bin/homeward --version > version
