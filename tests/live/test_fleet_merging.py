@@ -451,15 +451,20 @@ class DirectLink:
         self.versions.append((self.clock(), message))
 
 
+def linked_rig(hall, tmp_path):  # noqa: F811
+    """A robot with a link to a copy of the hall, and where L03 is after a push."""
+    link = DirectLink(opened(shutil.copytree(hall, tmp_path / "hall")))
+    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, "noise.bearing_sigma": 0.002}
+    rig = Rig(0, place=fleet_robot.SharedPlaceSession(link, update=True), **LANDMARKS | start)
+    link.clock = lambda: rig.robot.t
+    return link, at(link.shared.place, "L03") + PUSH, rig
+
+
 def test_a_moved_landmark_is_in_the_place_two_seconds_after_the_robot_has_mapped_it(
     hall,  # noqa: F811
     tmp_path,
 ):
-    link = DirectLink(opened(shutil.copytree(hall, tmp_path / "hall")))
-    there = at(link.shared.place, "L03") + PUSH
-    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, "noise.bearing_sigma": 0.002}
-    rig = Rig(0, place=fleet_robot.SharedPlaceSession(link, update=True), **LANDMARKS | start)
-    link.clock = lambda: rig.robot.t
+    link, there, rig = linked_rig(hall, tmp_path)
     rig.until(localised, 3.0)
 
     def spoil(message):
@@ -502,11 +507,7 @@ def test_a_landmark_that_moved_out_of_view_is_used_where_others_saw_it(
     hall,  # noqa: F811
     tmp_path,
 ):
-    link = DirectLink(opened(shutil.copytree(hall, tmp_path / "hall")))
-    there = at(link.shared.place, "L03") + PUSH
-    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, "noise.bearing_sigma": 0.002}
-    rig = Rig(0, place=fleet_robot.SharedPlaceSession(link, update=True), **LANDMARKS | start)
-    link.clock = lambda: rig.robot.t
+    link, there, rig = linked_rig(hall, tmp_path)
 
     def own(rig):
         known = {m.landmark: m for m in rig.session.localisation.estimator.landmarks()}

@@ -97,7 +97,7 @@ class Sky:
         )
 
     @property
-    def farthest(self) -> float:
+    def max_distance(self) -> float:
         """Distance within which a bearing begins a hypothesis [m]."""
         return (1.0 + LINEAR) * self.reach
 
@@ -150,7 +150,7 @@ class Match(NamedTuple):
 
 
 class HomeResiduals(NamedTuple):
-    """HomeResiduals of m bearings of n landmarks at k poses."""
+    """Residuals of m bearings of n landmarks at k poses."""
 
     residual: np.ndarray
     """(k, m, n) [rad]"""
@@ -254,7 +254,7 @@ def _residuals(poses: np.ndarray, sky: Sky) -> HomeResiduals:
 def _starts(sky: Sky) -> np.ndarray:
     """Return the poses (k, 3) from triples of bearings, each of any landmarks, that fit best."""
     apart = np.hypot(*(sky.points[:, None] - sky.points).T)
-    near = (apart < 2.0 * sky.farthest) & ~np.eye(len(apart), dtype=bool)
+    near = (apart < 2.0 * sky.max_distance) & ~np.eye(len(apart), dtype=bool)
     landmarks = np.argwhere(near[:, :, None] & near[:, None] & near)
     usable = np.flatnonzero(sky.allowed.any(axis=1)).tolist()
     triples = np.array(list(combinations(usable, MINIMAL)))
@@ -272,7 +272,7 @@ def _from_triple(rows: np.ndarray, landmarks: np.ndarray, sky: Sky) -> np.ndarra
         poses = from_triples(sky.points, *of.T, *bearings.T)
         away = sky.points[of] - poses[:, None, :2]
         off = wrap(np.arctan2(away[..., 1], away[..., 0]) - poses[:, 2:] - bearings)
-        fits = (np.hypot(away[..., 0], away[..., 1]) < sky.farthest) & (np.abs(off) < LINEAR)
+        fits = (np.hypot(away[..., 0], away[..., 1]) < sky.max_distance) & (np.abs(off) < LINEAR)
     return np.asarray(poses[fits.all(axis=1)])
 
 
@@ -281,7 +281,7 @@ def _promising(poses: np.ndarray, sky: Sky) -> np.ndarray:
     if len(poses) <= MAX_SCORED:
         return poses
     away, bins = sky.points - poses[:, None, :2], BEARING_BINS / TWO_PI
-    in_reach = np.hypot(away[..., 0], away[..., 1]) < sky.farthest
+    in_reach = np.hypot(away[..., 0], away[..., 1]) < sky.max_distance
     row, landmark = np.nonzero(in_reach)
     bearing = np.arctan2(away[..., 1], away[..., 0])[row, landmark] - poses[row, 2]
     is_near = np.zeros((len(poses), BEARING_BINS), bool)
