@@ -67,6 +67,9 @@ class Outcome(NamedTuple):
     worst: float
     noticed: float
     localised: float
+    pose: float
+    after: float
+    """Shares of the drive localised and with a pose, and of the time after the fault localised."""
     reason: str
 
 
@@ -258,21 +261,26 @@ FAULTS: dict[str, Callable[[Scene], Samples]] = {
 }
 
 
-def scene_of(drive: Drive, begin: float, seconds: float) -> Scene:
-    """Return the scene of a fault that begins some time after the drive did [s]."""
+def samples_of(drive: Drive) -> Samples:
+    """Return the twists and frames of a drive by time."""
     o = drive.odometry
     samples = [
         Sample(t, t, (v, w), {})
         for t, v, w in zip(o.t.tolist(), o.v.tolist(), o.omega.tolist(), strict=True)
     ]
     samples += [Sample(t, t, None, seen) for t, seen, _ in drive.sightings.stamps()]
-    samples.sort(key=lambda s: (s.at, s.twist is None))
+    return sorted(samples, key=lambda s: (s.at, s.twist is None))
+
+
+def scene_of(drive: Drive, begin: float, seconds: float) -> Scene:
+    """Return the scene of a fault that begins some time after the drive did [s]."""
+    samples = samples_of(drive)
     localizer = Localizer(drive.home, **drive.settings.robot)
     for _ in played(localizer, samples):
         pass
     found = localizer.landmarks()
     positions = {m.landmark: (m.x, m.y) for m in found if math.isfinite(m.x + m.y)}
-    start = float(o.t[0])
+    start = float(drive.odometry.t[0])
     return Scene(drive, samples, positions, start + begin, start + begin + seconds)
 
 
@@ -326,9 +334,16 @@ def outcome(scene: Scene, samples: Samples) -> Outcome:
         longest,
         float(off[wrong].max(initial=0.0)),
         noticed,
-        float(seconds[localised].sum() / seconds.sum()),
+        _share(seconds, localised),
+        _share(seconds, np.array([answer.pose is not None for _, answer in answers])),
+        _share(seconds[times >= scene.end], localised[times >= scene.end]),
         answers[after[0]][1].reason if after.size else "",
     )
+
+
+def _share(seconds: np.ndarray, use: np.ndarray) -> float:
+    """Return the share of the time that is used; NaN where there is none."""
+    return float(seconds[use].sum() / seconds.sum()) if seconds.size else math.nan
 
 
 def row(name: str, found: Outcome) -> str:

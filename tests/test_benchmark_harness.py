@@ -2,14 +2,16 @@
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from lab.studies.chores import in_this_process
 
-from benchmarks import measures
-from benchmarks.monte_carlo import Column, benchmark, print_table
+from benchmarks import measures, random_faults
+from benchmarks.faults import samples_of
+from benchmarks.monte_carlo import Column, Run, benchmark, print_table
 from homeward.drives.opening import open_drive
 from homeward.registry import make_estimator
 from homeward.track import run as follow
@@ -68,3 +70,28 @@ def test_the_scale_of_a_map_does_not_depend_on_its_frame(drive):
     turned = {m.landmark: 0.5 * np.array([-m.y + 3.0, m.x - 1.0]) for m in kept}
     assert measures.scale_of(track, turned) == pytest.approx(2.0)
     assert math.isnan(measures.scale_of(track, {}))
+
+
+def test_faults_in_random_rooms_are_compared_with_the_same_drive_without(monkeypatch):
+    whole = random_faults.room(1)[0]
+    o, seen = whole.drive.odometry, whole.drive.sightings
+    until = whole.begin + 12.0
+    short = replace(whole.drive, odometry=o.rows(o.t < until), sightings=seen.rows(seen.t < until))
+    scene = whole._replace(drive=short, samples=samples_of(short), end=whole.begin + 6.0)
+    monkeypatch.setattr(random_faults, "room", lambda seed: (scene, "short"))
+    none, reversed_, again = (
+        random_faults.measured(Run(kind, "robust", 1))
+        for kind in ("none", "bearings are reversed", "none")
+    )
+    assert none == again
+    assert none["has_pose"] == reversed_["has_pose"] == 1.0
+    assert not none["wrong"]
+    assert none["after"] == 1.0
+    assert reversed_["localised"] < none["localised"]
+
+
+def test_each_kind_of_fault_changes_a_drive():
+    scene, _ = random_faults.room(1)
+    for kind, fault in random_faults.KINDS.items():
+        changed = fault(np.random.default_rng(0))(scene)
+        assert (changed != scene.samples) == (kind != "none"), kind
