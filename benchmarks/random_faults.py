@@ -93,10 +93,10 @@ SIZED: dict[str, Callable[[Random], Fault]] = {
     ),
     "ids are rotated": lambda rng: during(renamed(1), for_good=rng.random() < 0.5),
     "landmarks move, each by 1 m, for good": lambda rng: during(
-        moved(rng.uniform(0.1, 0.7)), for_good=True
+        moved(rng.uniform(0.1, 0.5)), for_good=True
     ),
     "landmarks move together, for good": lambda rng: during(
-        moved(rng.uniform(0.1, 0.7), _same_vector(rng)), for_good=True
+        moved(rng.uniform(0.1, 0.5), _same_vector(rng)), for_good=True
     ),
     "stamps of bearings are late": lambda rng: during(
         restamped(_factor(rng, 0.1, 1.0), bearings_only=True)

@@ -33,6 +33,8 @@ class Reason(_Words):
         "odometry moves by another scale than before: wheels spin, or one of them is blocked"
     )
     UNSOLVED = "odometry and bearings do not fit together; drive on"
+    RELOCALISED = "the robot was found elsewhere by the landmarks in view; others must confirm it"
+    UNFIT = "the newest bearings do not fit the map"
     NO_BEARINGS = "no bearings now"
     HOME_AMBIGUOUS = (
         "home bearings without ids fit no place of the map better than all others; drive on"

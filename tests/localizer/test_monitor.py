@@ -24,8 +24,12 @@ def known(heading_sigma=0.01, mapped=NAMES):
     covariance = 1e-4 * np.eye(HEAD + 2 * len(NAMES))
     covariance[2, 2] = heading_sigma**2
     state = Marginal(np.concatenate([np.zeros(HEAD), places.ravel()]), covariance)
-    landmarks = SimpleNamespace(mapped=mapped, positions=lambda names: places[: len(names)])
-    smoother = SimpleNamespace(state=state)
+    landmarks = SimpleNamespace(
+        mapped=mapped,
+        positions=lambda names: places[: len(names)],
+        ids=lambda names: np.array([NAMES.index(n) for n in names], int),
+    )
+    smoother = SimpleNamespace(state=state, p_static=np.ones(len(NAMES)), index=lambda ids: ids)
     return SimpleNamespace(smoother=smoother, landmarks=landmarks)
 
 
@@ -103,5 +107,33 @@ def test_a_lost_robot_is_looked_for_until_it_is_found():
     monitor.begin_search(8.0, again)
     assert monitor.search is not search
     assert monitor.reason is Reason.SCENE_CHANGED
-    monitor.end_search(9.0)
+    monitor.end_search(9.0, [])
     assert (monitor.is_lost, monitor.spells_lost) == (False, [(5.0, 9.0)])
+
+
+def test_a_few_bearings_in_a_row_that_do_not_fit_contradict_the_pose():
+    monitor = Monitor(origin_given=False)
+    suspected = []
+    for off in (1, 1, 1, 0, 0, 0):  # one landmark in view
+        seen(monitor, off, names=NAMES[:1])
+        suspected.append(monitor.is_suspected)
+    assert suspected == [False, False, True, True, True, False]
+
+
+def test_bearings_of_a_third_of_the_landmarks_do_not_contradict_the_pose():
+    monitor = Monitor(origin_given=False)
+    for _ in range(10):
+        seen(monitor, 2)
+        assert not monitor.is_suspected
+
+
+def test_a_relocalised_pose_is_confirmed_by_most_of_the_landmarks():
+    monitor, landmarks = Monitor(origin_given=False), known().landmarks
+    monitor.end_search(9.0, NAMES[:2])
+    assert monitor.is_unconfirmed(landmarks)
+    seen(monitor, 0, names=NAMES[:3])
+    assert monitor.is_unconfirmed(landmarks)
+    seen(monitor, 1, names=NAMES[2:5])  # the first of these does not fit any more
+    assert not monitor.is_unconfirmed(landmarks)
+    monitor.end_search(20.0, NAMES[:2])
+    assert monitor.is_unconfirmed(landmarks)

@@ -263,6 +263,10 @@ class Chart:
                 doubt = Reason.ODOMETRY_CHANGED.words
             if self.map.smoother.is_unsolved:
                 doubt = doubt or Reason.UNSOLVED.words
+            if self.monitor.is_suspected:
+                doubt = doubt or Reason.UNFIT.words
+            if self.monitor.is_unconfirmed(self.map.landmarks):
+                doubt = doubt or Reason.RELOCALISED.words
             if doubt is not None:
                 found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
         if self._contradiction.is_proved:
@@ -411,7 +415,8 @@ class Chart:
             self._give_up_map()
             return True
         self._begin_motion(seen.t, reset)
-        self.monitor.end_search(seen.t)
+        mapped = [name for name in seen.names if name in self.map.landmarks.mapped]
+        self.monitor.end_search(seen.t, mapped)
         self.slipped_at, self._driven_at_fit = seen.t, self._driven_at_keyframe
         return True
 

@@ -32,6 +32,9 @@ MAJORITY = 0.6
 RECENT = 10
 """Sightings that the kidnap detector and the relocalisation use: two of each of five landmarks,
 recent enough for odometry to connect them."""
+USUAL_FIT = 0.9
+"""Probability that a sighting fits, if the robot is where the map has it, and that one does not, if
+it is elsewhere: one in ten ids is wrong where markers are read badly [1]."""
 MIN_SIGHTINGS = 6
 """Sightings before anything is decided about a landmark: if half of them are wrong, three right
 ones remain, and one of these checks the other two."""

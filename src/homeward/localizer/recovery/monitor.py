@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 from itertools import combinations
@@ -30,13 +30,17 @@ from homeward.localizer.motions import Motion
 from homeward.localizer.recovery.relocalise import Search
 from homeward.localizer.tunables import (
     CLOSE,
+    FALSE_ALARM,
     INLIER,
     LINEAR,
     MAJORITY,
     MIN_CHANGE,
+    MIN_LOG_ODDS,
     MIN_TOGETHER,
     MINIMAL,
+    ONE_BODY,
     RECENT,
+    USUAL_FIT,
     VAGUE,
 )
 from homeward.reasons import Reason
@@ -70,6 +74,28 @@ class KidnapDetector:
         """Return whether recent sightings of all landmarks but these fitted."""
         others = [fits for name, fits in self._recent if name not in names]
         return bool(others) and sum(others) >= MAJORITY * len(others)
+
+
+class FitTest:
+    """Test of whether the sightings of the newest frames still fit the map, as it may be lost.
+
+    A CUSUM test (Page, "Continuous inspection schemes", 1954) of a robot somewhere else against the
+    robot where the map has it. There a sighting fits with the probability `USUAL_FIT`, unless its
+    landmark walks; from elsewhere as many do not.
+    """
+
+    def __init__(self) -> None:
+        self.log_odds = 0.0
+        self.is_suspected = False
+        """Whether the sightings contradict the pose, and have not fitted again since."""
+
+    def add(self, fits: np.ndarray, p_static: np.ndarray) -> None:
+        """Add whether m sightings fit, (m,), of landmarks that are static with probability (m,)."""
+        fit = USUAL_FIT * p_static
+        here, elsewhere = np.where(fits, fit, 1.0 - fit), np.where(fits, 1.0 - USUAL_FIT, USUAL_FIT)
+        log_odds = self.log_odds + float(np.log(elsewhere / here).sum())
+        self.log_odds = min(max(log_odds, 0.0), 2.0 * MIN_LOG_ODDS)
+        self.is_suspected = self.log_odds > (0.0 if self.is_suspected else MIN_LOG_ODDS)
 
 
 class SlipDetector:
@@ -208,6 +234,7 @@ class Monitor:
     def __init__(self, origin_given: bool) -> None:
         self._origin_given = origin_given
         self._kidnap, self._slip = KidnapDetector(), SlipDetector()
+        self._fit = FitTest()
         self._scene = SceneChangeDetector()
         self._since: float | None = None
         """Since when the robot has been lost [s] ..."""
@@ -217,6 +244,8 @@ class Monitor:
         """... and the relocalisation search."""
         self._past: list[tuple[float, float]] = []
         """Earlier intervals in which it was lost [s]."""
+        self._agreeing: dict[str, bool] | None = None
+        """Whether the newest bearing of each landmark fits a relocalised pose; None: confirmed."""
 
     def assess_odometry(self, motion: Motion, known: Map) -> Health:
         """Assess odometry: whether bearings can be predicted from where the map has the robot.
@@ -235,6 +264,12 @@ class Monitor:
 
     def assess_innovations(self, gated: Gated, known: Map) -> Health:
         """Assess the innovations of the newest frame: whether the bearings fit the map."""
+        index = known.smoother.index(known.landmarks.ids(gated.fits))
+        self._fit.add(np.array([*gated.fits.values()], bool), known.smoother.p_static[index])
+        if self._agreeing is not None:
+            self._agreeing.update(gated.fits)
+            if not self.is_unconfirmed(known.landmarks):
+                self._agreeing = None
         if self._kidnap.was_kidnapped(gated.fits):
             return Health.KIDNAPPED
         if self._scene.has_changed(
@@ -256,13 +291,25 @@ class Monitor:
         self._kidnap.clear()
         self._slip.clear()
 
-    def end_search(self, t: float) -> None:
-        """Declare the robot relocalised at `t` [s]."""
+    def end_search(self, t: float, names: Collection[str]) -> None:
+        """Declare the robot relocalised at `t` [s] by a frame with these mapped landmarks."""
         if self._since is not None:
             self._past.append((self._since, t))
-        self._since = None
+        self._since, self._agreeing, self._fit = None, dict.fromkeys(names, True), FitTest()
         self._kidnap.clear()
         self._slip.clear()
+
+    def is_unconfirmed(self, landmarks: Landmarks) -> bool:
+        """Return whether too few landmarks have agreed on the pose since the last relocalisation.
+
+        Landmarks in view that moved together look like a robot that was displaced, and the others
+        decide. Each one belongs to those with probability `ONE_BODY`, but never most of all.
+        """
+        if self._agreeing is None:
+            return False
+        needed = math.log(FALSE_ALARM) / math.log(ONE_BODY)
+        needed = min(needed, MAJORITY * len(landmarks.mapped))
+        return sum(self._agreeing.values()) < needed
 
     def add_keyframe(self, motion: Motion) -> None:
         """Register a new keyframe, reached by a motion."""
@@ -278,6 +325,11 @@ class Monitor:
     def is_lost(self) -> bool:
         """Whether the robot is lost in its map."""
         return self._since is not None
+
+    @property
+    def is_suspected(self) -> bool:
+        """Whether the newest sightings contradict the pose."""
+        return self._fit.is_suspected
 
     @property
     def reason(self) -> Reason:
