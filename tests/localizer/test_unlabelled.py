@@ -1,6 +1,7 @@
 """Landmarks without ids: association, home by constellation, files, and short drives."""
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +15,13 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import compose
 from homeward.localizer.map import smoother
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import NATS_APART
+from homeward.localizer.tunables import COPIED, NATS_APART, NATS_DIFFERENT
 from homeward.localizer.unlabelled.association import PossiblePairs, assigned, associate
-from homeward.localizer.unlabelled.constellation import Sky, match, num_unlike, search
+from homeward.localizer.unlabelled.constellation import Sky, match, search
 from homeward.localizer.unlabelled.home import relative_places
 from homeward.localizer.unlabelled.local_map import LocalMap
 from homeward.localizer.unlabelled.lost import Loss
+from homeward.localizer.unlabelled.repetition import log_repetition
 from homeward.registry import make_estimator
 from homeward.sighting_keys import class_of, is_unlabelled, keyed, numbered, without_number
 from homeward.track import run
@@ -207,8 +209,8 @@ def test_the_constellation_in_another_equal_room_is_found(seed):
         assert found.margin < NATS_APART
 
 
-@pytest.mark.parametrize(("mapped", "unlike"), [(12, 0), (10, 0), (7, 0), (6, 0)])
-def test_an_equal_room_is_like_the_other_also_in_part(mapped, unlike):
+@pytest.mark.parametrize("mapped", [12, 10, 8])
+def test_an_equal_room_is_evidence_of_repetition_also_in_part(mapped):
     rng = np.random.default_rng(0)
     room, turn = rng.uniform(-2.5, 2.5, (6, 2)), np.array([[0.6, 0.8], [-0.8, 0.6]])
     points = np.vstack([room, room @ turn + np.array([8.0, 1.0])])[:mapped]
@@ -216,18 +218,35 @@ def test_an_equal_room_is_like_the_other_also_in_part(mapped, unlike):
     covariance, allowed = equal_covariance(mapped, 0.03), np.ones((3, mapped), bool)
     given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
     none, half = np.full(mapped, ""), np.where(np.arange(mapped) < 6, "post", "lamp")
-    assert num_unlike(given, np.zeros(3), none) == (mapped - 6, unlike)
-    assert num_unlike(given, np.zeros(3), half)[1] == max(mapped - 8, 0)
+    assert log_repetition(given, np.zeros(3), none) > 4.0 * (mapped - 8) - 2.0
+    others = log_repetition(given, np.zeros(3), half)
+    assert others == pytest.approx((mapped - 6) * math.log(1.0 - COPIED))
+
+
+def test_unmapped_surroundings_show_nothing_of_repetition():
+    points = np.random.default_rng(0).uniform(-2.5, 2.5, (6, 2))
+    given = Sky(
+        points, equal_covariance(6, 0.03), np.zeros(3), np.ones(3), np.ones((3, 6), bool), 4.5
+    )
+    assert log_repetition(given, np.zeros(3), np.full(6, "")) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_most_of_a_hall_is_unlike_the_rest(seed):
+def test_a_hall_is_evidence_against_repetition(seed):
     points = benchmark.scattered(seed, 25)
     covariance, allowed = equal_covariance(25, 0.03), np.ones((3, 25), bool)
     given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
-    number, unlike = num_unlike(given, np.zeros(3), np.full(25, ""))
-    assert number > 10
-    assert unlike > 0.6 * number
+    assert log_repetition(given, np.zeros(3), np.full(25, "")) < NATS_DIFFERENT - NATS_APART
+
+
+def test_a_landmark_just_out_of_reach_is_hardly_expected_where_the_reach_is_sharp():
+    _, _, given = sky(0)
+    pose, edge = np.zeros((1, 3)), np.hypot(*given.points.T) / given.reach - 1.0
+    soft, sharp = given.detected(pose)[0], replace(given, edge=0.05).detected(pose)[0]
+    beyond = (edge > 0.15) & (edge < 0.3)
+    assert beyond.any()
+    assert (soft[beyond] > 0.2).all()
+    assert (sharp[beyond] < 0.05).all()
 
 
 def test_a_square_has_four_poses():

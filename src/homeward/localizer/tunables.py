@@ -582,9 +582,11 @@ NATS_APART = 7.0
 """Log evidence of home over other places: one in a thousand is wrong [nats]."""
 NATS_KEPT = 2.0
 """Below this, an assignment of home bearings is withdrawn [nats]."""
-EXPLORED = 2.0
-"""Path length without a new landmark after which the map is complete [reach]: a place next to it
-would have come into view."""
+COPIED = 0.75
+"""Probability that a landmark of a place that repeats another one is at its copy's position."""
+NATS_DIFFERENT = 4.0
+"""Log odds against a place that repeats itself, before anything is mapped: one in 50 does, and
+each path as long as the reach on which the map is not extended adds one [nats]."""
 FIRST_SEARCH_S = 1.0
 """Interval of the searches for home after a landmark was mapped [s], ..."""
 SEARCH_GROWTH = 1.3
@@ -606,13 +608,11 @@ ANNEALED = (0.05, 0.03, 0.0, 0.0)
 """Tolerances of the refinement [rad]: from the error of a triple to the noise."""
 NUM_MATCHES = 60
 """Distinct poses whose evidence is computed."""
-REACH = 0.95
-"""Quantile of the distances of sightings that is taken for the reach of the sensor, ..."""
+REACH, LAST = 0.95, 0.995
+"""Quantiles of the distances of sightings that are taken for the reach of the sensor and for the
+distance from which hardly anything is seen, ..."""
 NUM_DISTANCES = 2000
 """... of the newest ones."""
-MAX_BEYOND, BEYOND_KEPT = 0.1, 0.005
-"""Share of mapped landmarks beyond the reach, of a sensor that reaches across the map: a twentieth
-of the sightings are, by the definition of the reach; and share of a frame in it."""
 MIN_MISSES, GHOST = 15, 0.2
 """Frames in which a landmark is not seen where it is predicted, and share of those in which it is
 seen, below which it is no landmark: real ones are seen in four of five."""

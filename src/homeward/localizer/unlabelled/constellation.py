@@ -57,7 +57,9 @@ class Sky:
     allowed: np.ndarray
     """(m, n), bool: which landmark a bearing may be of."""
     reach: float = math.inf
-    """Distance within which most landmarks are seen [m]."""
+    """Distance within which most landmarks are seen [m], ..."""
+    edge: float = LINEAR
+    """... and over which detection falls off beyond it [reach]."""
     near: tuple[float, float, float] | None = None
     """Circle in which the pose is with a probability of a half: x, y, radius [m]; None: anywhere.
     """
@@ -104,35 +106,8 @@ class Sky:
     def detected(self, poses: np.ndarray) -> np.ndarray:
         """Return the probability to see each landmark from poses (k, 3), shape (k, n)."""
         distance = np.linalg.norm(self.points - poses[:, None, :2], axis=2)
-        beyond = np.maximum(distance / self.reach - 1.0, 0.0) / LINEAR
+        beyond = np.maximum(distance / self.reach - 1.0, 0.0) / self.edge
         return np.asarray(DETECTED * np.maximum(np.exp(-(beyond**2)), CLOSE / 2))
-
-
-def num_unlike(sky: Sky, pose: np.ndarray, kinds: np.ndarray) -> tuple[int, int]:
-    """Return the numbers of landmarks out of view from a pose (3,), and of those unlike the others.
-
-    Others are like those in view if one shift and rotation moves these to them, within 3 sigma,
-    and does not move three of these to where none is in view. Like ones have the same kind (n,),
-    or one has none.
-    """
-    at, sigma = sky.points @ [1.0, 1j], np.sqrt(sky.covariances.trace(axis1=1, axis2=2))
-    center = complex(pose[0], pose[1])
-    is_near = np.abs(at - center) < sky.reach
-    is_sharp = sigma < CLOSE / INLIER * sky.reach
-    a, b = np.flatnonzero(is_near), np.flatnonzero(~is_near & is_sharp)
-    of = np.flatnonzero(is_near & is_sharp)
-    (i, j), (k, m) = (x[np.argwhere(~np.eye(x.size, dtype=bool))].T for x in (of, b))
-    old, new = at[j] - at[i], (at[m] - at[k])[:, None]
-    within = INLIER * np.hypot(np.hypot(sigma[i], sigma[j]), np.hypot(sigma[k], sigma[m])[:, None])
-    q, p = np.nonzero(np.abs(np.abs(new) - np.abs(old)) < within)
-    turn = np.exp(1j * np.angle(new[q, 0] / old[p]))
-    copies = at[k[q], None] + turn[:, None] * (at[a] - at[i[p], None])
-    fits = np.abs(copies[..., None] - at) < INLIER * np.hypot(sigma[a, None], sigma)
-    fits &= (kinds[a, None] == kinds) | (kinds[a, None] == "") | (kinds == "")
-    missing = (~fits.any(axis=2) & (np.abs(copies - center) < sky.reach)).sum(axis=1)
-    like = fits[..., b].any(axis=1).sum(axis=1)[missing < MINIMAL]
-    unlike = b.size - int(like.max(initial=min(b.size, 2)))
-    return int(np.count_nonzero(~is_near)), unlike
 
 
 class Match(NamedTuple):

@@ -18,19 +18,20 @@ from homeward.localizer.chart import Chart
 from homeward.localizer.motions import HEAD
 from homeward.localizer.tunables import (
     ESTABLISHED,
-    EXPLORED,
     FIRST_SEARCH_S,
-    MAX_BEYOND,
+    LINEAR,
     MAX_CONSTELLATION,
     MAX_SEARCH_S,
     MINIMAL,
     NATS_APART,
+    NATS_DIFFERENT,
     NATS_KEPT,
     NEGLIGIBLE,
     SEARCH_GROWTH,
 )
-from homeward.localizer.unlabelled.constellation import Match, Ranked, Sky, num_unlike, search
+from homeward.localizer.unlabelled.constellation import Match, Ranked, Sky, search
 from homeward.localizer.unlabelled.registry import Registry
+from homeward.localizer.unlabelled.repetition import log_repetition
 from homeward.reasons import Reason
 from homeward.sighting_keys import class_of, is_unlabelled
 
@@ -51,16 +52,14 @@ class HomeFinder:
         self._next, self._wait, self._mapped = -math.inf, FIRST_SEARCH_S, 0
         self._is_unique = False
         """Whether no other place fits nearly as well."""
-        self._num_elsewhere = self._num_unlike = 0
-        """Landmarks out of view from home, and those of them that are unlike those in view."""
-        self._is_unchanged = False
-        """Whether no landmark was mapped for a long path."""
         self._has_id = False
         """Whether a landmark that fits has an id: no other place has that."""
-        self._is_limited = True
-        """Whether the sensor does not reach across the map."""
-        self._extended_at = 0.0
-        """Path length at which the newest landmark was mapped [m]."""
+        self._log_repetition = 0.0
+        """Log Bayes factor that places repeat, by the map [nats]."""
+        self._is_different = False
+        """Whether home is not one of several equal places."""
+        self._size, self._extended_at = 0.0, 0.0
+        """Size of the map [m], and path length at which it was extended [m]."""
 
     @property
     def why(self) -> Reason | None:
@@ -69,14 +68,8 @@ class HomeFinder:
 
     @property
     def is_proven(self) -> bool:
-        """Whether home can be nowhere else.
-
-        If all landmarks elsewhere repeat those at home, the rest of an equal place may be unknown.
-        """
-        least = MINIMAL - self._is_unchanged
-        is_complete = self._is_unchanged and self._num_elsewhere < MINIMAL and not self._is_limited
-        is_explored = self._num_unlike >= least or is_complete or self._has_id
-        return self._is_unique and is_explored
+        """Whether home can be nowhere else."""
+        return self._is_unique and (self._is_different or self._has_id)
 
     def named(self) -> dict[str, HomeBearing]:
         """Return the home bearings by landmark: those that have an id, or are assigned."""
@@ -96,10 +89,12 @@ class HomeFinder:
         if not self.is_needed:
             return False
         kept = [n for n in names if chart.map.landmarks.mapped[n].sightings >= ESTABLISHED]
-        if len(kept) > self._mapped:
-            self._extended_at = path
-        self._is_unchanged = path > self._extended_at + EXPLORED * known.reach
-        self._is_limited = known.beyond > MAX_BEYOND
+        size = float(np.ptp(chart.map.landmarks.positions(kept), axis=0).sum()) if kept else 0.0
+        if size > self._size + LINEAR * known.reach:
+            self._size, self._extended_at = size, path
+        apart = NATS_KEPT if self._is_different else NATS_APART
+        unchanged = (path - self._extended_at) / known.reach
+        self._is_different = NATS_DIFFERENT + unchanged - self._log_repetition > apart
         if t < self._next:
             return False
         growth = SEARCH_GROWTH ** (3.0 if self.assigned else 1.0)
@@ -112,12 +107,12 @@ class HomeFinder:
         kept = sorted(kept, key=lambda n: -chart.map.landmarks.mapped[n].sightings)
         kept = kept[:MAX_CONSTELLATION]
         keys = [k for k in self._home if not self._home[k].camera]
-        sky = self._sky(keys, kept, chart, names, known.reach)
+        sky = self._sky(keys, kept, chart, names, known)
         found = search(sky) if sky is not None else None
         changed = self._accept(found, keys, kept)
         if sky is not None and self._pose is not None:
             kinds = np.array([names[n] for n in kept])
-            self._num_elsewhere, self._num_unlike = num_unlike(sky, self._pose, kinds)
+            self._log_repetition = log_repetition(sky, self._pose, kinds)
         return changed
 
     def _accept(self, found: Ranked | None, keys: list[str], names: list[str]) -> bool:
@@ -160,7 +155,7 @@ class HomeFinder:
         names: list[str],
         chart: Chart,
         kinds: Mapping[str, str],
-        reach: float,
+        known: Registry,
     ) -> Sky | None:
         """Return the home bearings and the landmarks of a map."""
         if not keys or not names:
@@ -171,7 +166,7 @@ class HomeFinder:
         bearings = np.array([self._home[k].bearing for k in keys])
         allowed = may_be(keys, names, kinds)
         lines = bearings, sigmas**2, allowed
-        return Sky(points, covariance, *lines, reach, start=self._pose)
+        return Sky(points, covariance, *lines, known.reach, known.edge, start=self._pose)
 
 
 def may_be(keys: Sequence[str], names: Sequence[str], kinds: Mapping[str, str]) -> np.ndarray:

@@ -101,7 +101,7 @@ class Loss:
         near = float(state.mean[0]), float(state.mean[1]), CLOSE * INLIER * state.scale
         allowed = may_be(keys, names, known.kinds)
         lines = bearings, variances, allowed
-        found = search(Sky(points, covariance, *lines, known.reach, near))
+        found = search(Sky(points, covariance, *lines, known.reach, known.edge, near))
         if found is None or min(found.margin, found.best.log_evidence) < NATS_APART:
             return {}
         pairs = enumerate(found.best.landmark.tolist())

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from homeward.localizer.tunables import BEYOND_KEPT, GHOST, MIN_MISSES, NUM_DISTANCES, REACH
+from homeward.localizer.tunables import CLOSE, GHOST, LAST, LINEAR, MIN_MISSES, NUM_DISTANCES, REACH
 
 NAME = "~"
 """Sign in the ids of landmarks without an id of their own, between class and number."""
@@ -30,10 +30,9 @@ class Registry:
         self.linked: Counter[tuple[str, str]] = Counter()
         """... and in which both had been seen just before."""
         self.reach = math.inf
-        """Distance within which most landmarks are seen [m]."""
-        self.beyond = 1.0
-        """Share of mapped landmarks beyond the reach, of the newest frames."""
-        self._num_frames = 0
+        """Distance within which most landmarks are seen [m], ..."""
+        self.edge = LINEAR
+        """... and over which detection falls off beyond it [reach]."""
         self._distances: deque[float] = deque(maxlen=NUM_DISTANCES)
         self._born = 0
 
@@ -50,15 +49,12 @@ class Registry:
     def add_distances(self, distances: Mapping[str, float], seen: Container[str]) -> None:
         """Add the distances of landmarks [m], of which some were `seen` in a frame."""
         self._distances.extend(d for n, d in distances.items() if n in seen)
-        if distances:
-            share = sum(d > self.reach for d in distances.values()) / len(distances)
-            self._num_frames += 1
-            self.beyond += (share - self.beyond) * max(1.0 / self._num_frames, BEYOND_KEPT)
 
     def update_reach(self) -> None:
-        """Update the reach by all known distances."""
+        """Update the reach and its edge by all known distances."""
         if self._distances:
-            self.reach = float(np.quantile(self._distances, REACH))
+            self.reach, last = np.quantile(self._distances, (REACH, LAST)).tolist()
+            self.edge = min(max(last / self.reach - 1.0, CLOSE / 2), LINEAR)
 
     def count(self, name: str, is_hit: bool) -> None:
         """Count a hit or a miss; one that is hardly ever seen where it should be is no landmark."""
