@@ -17,7 +17,7 @@ from homeward.localizer.map import smoother
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import COPIED, NATS_APART, NATS_DIFFERENT
 from homeward.localizer.unlabelled.association import PossiblePairs, assigned, associate
-from homeward.localizer.unlabelled.constellation import Sky, match, search
+from homeward.localizer.unlabelled.constellation import Match, Sky, match, search
 from homeward.localizer.unlabelled.home import relative_places
 from homeward.localizer.unlabelled.local_map import LocalMap
 from homeward.localizer.unlabelled.lost import Loss
@@ -209,6 +209,11 @@ def test_the_constellation_in_another_equal_room_is_found(seed):
         assert found.margin < NATS_APART
 
 
+def at_origin(*landmark):
+    """Return a home at the origin that has seen some landmarks."""
+    return Match(np.zeros(3), np.array(landmark, int), 10.0, np.eye(3), 0.0)
+
+
 @pytest.mark.parametrize("mapped", [12, 10, 8])
 def test_an_equal_room_is_evidence_of_repetition_also_in_part(mapped):
     rng = np.random.default_rng(0)
@@ -218,8 +223,8 @@ def test_an_equal_room_is_evidence_of_repetition_also_in_part(mapped):
     covariance, allowed = equal_covariance(mapped, 0.03), np.ones((3, mapped), bool)
     given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
     none, half = np.full(mapped, ""), np.where(np.arange(mapped) < 6, "post", "lamp")
-    assert log_repetition(given, np.zeros(3), none) > 4.0 * (mapped - 8) - 2.0
-    others = log_repetition(given, np.zeros(3), half)
+    assert log_repetition(given, at_origin(), none) > 4.0 * (mapped - 8) - 2.0
+    others = log_repetition(given, at_origin(), half)
     assert others == pytest.approx((mapped - 6) * math.log(1.0 - COPIED))
 
 
@@ -228,7 +233,9 @@ def test_unmapped_surroundings_show_nothing_of_repetition():
     given = Sky(
         points, equal_covariance(6, 0.03), np.zeros(3), np.ones(3), np.ones((3, 6), bool), 4.5
     )
-    assert log_repetition(given, np.zeros(3), np.full(6, "")) == 0.0
+    assert log_repetition(given, at_origin(), np.full(6, "")) == 0.0
+    short = replace(given, reach=0.5)
+    assert log_repetition(short, at_origin(*range(6)), np.full(6, "")) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -236,7 +243,7 @@ def test_a_hall_is_evidence_against_repetition(seed):
     points = benchmark.scattered(seed, 25)
     covariance, allowed = equal_covariance(25, 0.03), np.ones((3, 25), bool)
     given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
-    assert log_repetition(given, np.zeros(3), np.full(25, "")) < NATS_DIFFERENT - NATS_APART
+    assert log_repetition(given, at_origin(), np.full(25, "")) < NATS_DIFFERENT - NATS_APART
 
 
 def test_a_landmark_just_out_of_reach_is_hardly_expected_where_the_reach_is_sharp():

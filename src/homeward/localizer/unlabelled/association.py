@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from homeward.localizer.tunables import ASSOCIATION_GATE, CLEAR_MARGIN
 
@@ -124,7 +125,7 @@ def assigned(cost: np.ndarray, none: float) -> tuple[np.ndarray, np.ndarray, flo
     whole = np.concatenate([cost, own_none], axis=1)
     best = whole.argmin(axis=1)
     if np.unique(best).size < m:
-        best = _shortest_paths(whole)
+        best = linear_sum_assignment(whole)[1]
     paid = whole[np.arange(m), best]
     is_free = np.ones(n + m, bool)
     is_free[best] = False
@@ -137,40 +138,6 @@ def assigned(cost: np.ndarray, none: float) -> tuple[np.ndarray, np.ndarray, flo
     cycle = (others + others.T).min(axis=1)
     margins = np.minimum(cycle, leaving + np.minimum(others.min(axis=0), 0.0))
     return np.where(best < n, best, -1), margins, float(paid.sum())
-
-
-def _shortest_paths(cost: np.ndarray) -> np.ndarray:
-    """Return the columns (m,) of the cheapest assignment (Jonker and Volgenant, 1987)."""
-    m, n = cost.shape
-    of_row, of_column = np.zeros(m), np.zeros(n)
-    row = np.full(n, -1)
-    for first in range(m):
-        shortest, before = np.full(n, np.inf), np.full(n, -1)
-        is_done, i, low = np.zeros(n, bool), first, 0.0
-        visited = [first]
-        while True:
-            reduced = low + cost[i] - of_row[i] - of_column
-            shorter = ~is_done & (reduced < shortest)
-            shortest[shorter], before[shorter] = reduced[shorter], i
-            j = int(np.where(is_done, np.inf, shortest).argmin())
-            low, is_done[j] = float(shortest[j]), True
-            if row[j] < 0:
-                break
-            i = int(row[j])
-            visited.append(i)
-        column = {int(r): k for k, r in enumerate(row.tolist()) if r >= 0}
-        of_row[first] += low
-        for i in visited[1:]:
-            of_row[i] += low - shortest[column[i]]
-        of_column[is_done] -= low - shortest[is_done]
-        while True:
-            row[j] = before[j]
-            if row[j] == first:
-                break
-            j = column[int(row[j])]
-    result = np.empty(m, int)
-    result[row[row >= 0]] = np.flatnonzero(row >= 0)
-    return result
 
 
 def chosen(pairs: PossiblePairs, use: np.ndarray) -> PossiblePairs:

@@ -110,9 +110,9 @@ class HomeFinder:
         sky = self._sky(keys, kept, chart, names, known)
         found = search(sky) if sky is not None else None
         changed = self._accept(found, keys, kept)
-        if sky is not None and self._pose is not None:
+        if sky is not None and found is not None:
             kinds = np.array([names[n] for n in kept])
-            self._log_repetition = log_repetition(sky, self._pose, kinds)
+            self._log_repetition = log_repetition(sky, found.best, kinds)
         return changed
 
     def _accept(self, found: Ranked | None, keys: list[str], names: list[str]) -> bool:

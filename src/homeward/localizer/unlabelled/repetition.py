@@ -13,18 +13,19 @@ import numpy as np
 
 from homeward.geometry.angles import TWO_PI
 from homeward.localizer.tunables import COPIED, DETECTED, INLIER, MAX_SCORED
-from homeward.localizer.unlabelled.constellation import Sky
+from homeward.localizer.unlabelled.constellation import Match, Sky
 
 
-def log_repetition(sky: Sky, pose: np.ndarray, kinds: np.ndarray) -> float:
-    """Return the log Bayes factor that landmarks out of view from a pose (3,) are copies.
+def log_repetition(sky: Sky, found: Match, kinds: np.ndarray) -> float:
+    """Return the log Bayes factor that landmarks out of view from a home are copies.
 
     Each pair of these may be a copy of each pair in view, which determines shift and rotation. A
     copy has the class (n,) of its landmark, where both have one.
     """
     at, variance = sky.points @ [1.0, 1j], 0.5 * sky.covariances.trace(axis1=1, axis2=2)
-    home, area = complex(pose[0], pose[1]), float(np.subtract(*sky.box[::-1]).prod())
+    home, area = complex(*found.pose[:2]), float(np.subtract(*sky.box[::-1]).prod())
     in_view = np.abs(at - home) < sky.reach
+    in_view[found.landmark[found.landmark >= 0]] = True
     a, b = np.flatnonzero(in_view), np.flatnonzero(~in_view)
     none = b.size * math.log(1.0 - COPIED)
     if min(a.size, b.size) < 2:
