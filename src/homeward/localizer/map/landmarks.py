@@ -27,6 +27,7 @@ from homeward.localizer.map.sightings import (
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import (
     RangeMixture,
+    is_determined,
     range_mixture,
     triangulate,
     unexplained,
@@ -430,6 +431,24 @@ class Landmarks:
             self.drop(name)
         return len(names)
 
+    def drop_undetermined(self, first: int) -> None:
+        """Remove landmarks that were seen before keyframe `first`, if their positions are vague.
+
+        Their sightings are not marginalised: linearised at a position that may be far away from
+        the right one, they would count as measurements of distance and heading.
+        """
+        rows = self.smoother.sightings
+        of, has_range = rows[:, LANDMARK], rows[:, RANGE_SIGMA] > 0.0
+        leaving = np.setdiff1d(of[rows[:, KEYFRAME] < first], of[has_range])
+        for m in [m for m in self.mapped.values() if m.number in leaving]:
+            own = rows[of == m.number]
+            if len(own) < m.sightings:
+                continue  # the others are marginalised, when they did determine it
+            place = self.smoother.state.positions[self.index([m])][0]
+            if not is_determined(place, self.smoother.cameras(own), self._own_sigmas(own)):
+                self.smoother.drop_sightings_of(m.number)
+                self.drop(m.name)
+
     def drop(self, name: str) -> None:
         """Remove a landmark from the map; it may be initialised again."""
         self.smoother.drop_landmark(self.mapped.pop(name).number)
@@ -463,9 +482,17 @@ class Landmarks:
 
     def _line_sigmas(self, rows: np.ndarray) -> np.ndarray:
         """Return the standard deviations (m,) of sight lines, with that of the heading since."""
+        return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + self._turn_variances_since(rows)))
+
+    def _own_sigmas(self, rows: np.ndarray) -> np.ndarray:
+        """Return the same, with that of the heading until the last of them."""
+        since = self._turn_variances_since(rows)
+        return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + since - since.min()))
+
+    def _turn_variances_since(self, rows: np.ndarray) -> np.ndarray:
+        """Return the variances (m,) of the turns since rows of the table [rad^2]."""
         turned = np.cumsum([0.0, *self.smoother.turn_variances[::-1]])[::-1]
-        since = turned[rows[:, KEYFRAME].astype(int) - self.smoother.first]
-        return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + since))
+        return np.asarray(turned[rows[:, KEYFRAME].astype(int) - self.smoother.first])
 
 
 def numbers(landmarks: Iterable[Landmark]) -> np.ndarray:

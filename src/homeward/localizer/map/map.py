@@ -497,6 +497,7 @@ class Map:
             needed = min(needed, self.camera_jump.possible.keyframe - 1)
         count = max(min(spare, needed - smoother.first), kept - longest)
         if count > 0:
+            self.landmarks.drop_undetermined(smoother.first + count)
             smoother.marginalise(count)
             self.landmarks.drop_candidates_before(smoother.first)
             if not self.registration.survey.known.is_given:

@@ -304,6 +304,10 @@ class Smoother:
         """Drop the sightings from a keyframe, by its number."""
         self.sightings = self.sightings[self.sightings[:, KEYFRAME] != keyframe]
 
+    def drop_sightings_of(self, number: int) -> None:
+        """Drop the sightings of a landmark, by its id."""
+        self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
+
     def move_keyframe(self, number: int, pose: np.ndarray) -> None:
         """Set the pose (3,) of a keyframe in the window, where the next `solve` begins."""
         poses = self.poses.copy()
@@ -387,7 +391,7 @@ class Smoother:
         out, found = self._take_out(gone)
         self.passive.eliminate(out, found)
         self.survey = self.survey.among(self.ids)
-        self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
+        self.drop_sightings_of(number)
         self._in_view.pop(number, None)
 
     def activate(self, ids: np.ndarray) -> None:

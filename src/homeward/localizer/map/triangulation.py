@@ -69,8 +69,7 @@ def triangulate(
     if not enough or not _spread(lines, agree, parallax):
         return None
     distance = np.hypot(*(position - cameras[agree, :2].mean(axis=0)))
-    is_determined = (covariance.diagonal() > 0.0).all()  # parallel lines give garbage
-    if not (is_determined and position_sigma(covariance) < LINEAR * distance):
+    if not _is_linear(covariance, distance):
         return None
     none_wrong = agree.all() and not _is_next_to_camera(position, cameras)
     if not none_wrong:
@@ -82,6 +81,24 @@ def triangulate(
         if (costs[1:] < costs[0] + MARGIN).any():
             return None
     return position, agree
+
+
+def is_determined(position: np.ndarray, cameras: np.ndarray, sigmas: np.ndarray) -> bool:
+    """Return whether sight lines determine a position (2,) to within the linear range.
+
+    They are from cameras (m, 3), with standard deviations `sigmas` (m,) [rad].
+    """
+    try:
+        covariance = np.linalg.inv(_by_position(position, cameras, sigmas)[1])
+    except np.linalg.LinAlgError:
+        return False
+    return _is_linear(covariance, np.hypot(*(position - cameras[:, :2].mean(axis=0))))
+
+
+def _is_linear(covariance: np.ndarray, distance: float) -> bool:
+    """Return whether a position with a covariance (2, 2) is known to within the linear range."""
+    is_positive = (covariance.diagonal() > 0.0).all()  # parallel lines give garbage
+    return bool(is_positive and position_sigma(covariance) < LINEAR * distance)
 
 
 def unexplained(
@@ -173,15 +190,22 @@ def _refine(
     position: np.ndarray, cameras: np.ndarray, lines: np.ndarray, sigmas: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the position after one Gauss-Newton step, and its information (2, 2)."""
+    jacobian, information = _by_position(position, cameras, sigmas)
+    residual = _residuals(position[None], cameras, lines)[0] / sigmas
+    step = np.linalg.solve(information, jacobian.T @ residual)
+    reach = 0.5 * max(float(np.hypot(*(position - cameras[:, :2]).T).min()), 1e-3)
+    size = float(np.hypot(*step))
+    return position + step * min(1.0, reach / max(size, 1e-12)), information
+
+
+def _by_position(
+    position: np.ndarray, cameras: np.ndarray, sigmas: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return normalised Jacobians of lines by the position (m, 2), and its information (2, 2)."""
     d = position - cameras[:, :2]
     square = np.maximum((d**2).sum(axis=1), 1e-6)
     jacobian = np.stack([-d[:, 1], d[:, 0]], axis=1) / square[:, None] / sigmas[:, None]
-    residual = _residuals(position[None], cameras, lines)[0] / sigmas
-    information = jacobian.T @ jacobian + 1e-9 * np.eye(2)
-    step = np.linalg.solve(information, jacobian.T @ residual)
-    reach = 0.5 * float(np.sqrt(square.min()))
-    size = float(np.hypot(*step))
-    return position + step * min(1.0, reach / max(size, 1e-12)), information
+    return jacobian, jacobian.T @ jacobian + 1e-9 * np.eye(2)
 
 
 @dataclass(frozen=True)
