@@ -142,6 +142,13 @@ REQUEST = (
 _PACKAGE = os.path.dirname(__file__) + os.sep
 
 
+def require_kind(value: object, kind: type, advice: str) -> None:
+    """Raise an `InputError` with advice where an argument is not of a class."""
+    if not isinstance(value, kind):
+        problem = f"a {kind.__name__} is needed, not a {type(value).__name__}"
+        raise InputError(problem, advice=advice)
+
+
 class InternalErrorWarning(UserWarning):
     """Warning of an `InternalFailure`, so that no program overlooks one."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from homeward.drives.drive import Columns, Drive
 from homeward.drives.robot import require_one_camera
-from homeward.errors import Attempts, InputError, InternalFailure, failure_notes
+from homeward.errors import Attempts, InputError, InternalFailure, failure_notes, require_kind
 from homeward.estimator import (
     Counts,
     Estimate,
@@ -185,6 +185,10 @@ def run(
         When the stamps of the drive span more than a week: one of them must be wrong. When the
         robot moves sideways, or sightings have no ids, and the estimator takes no such samples.
     """
+    require_kind(drive, Drive, "read one with open_drive(PATH)")
+    if isinstance(estimator, str):
+        advice = f"make one with make_estimator({estimator!r}, drive)"
+        raise InputError("an estimator is needed, not its name", advice=advice)
     ignored = sideways_notes(drive, estimator)
     require_ids(drive, estimator)
     began = time.perf_counter()

@@ -277,3 +277,18 @@ def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
     assert result.exit_code == 1
     assert "home 'early' cannot be stored: the robot has no pose there" in result.stderr
     assert list(load_place(tmp_path / "hall").homes) == ["home"]
+
+
+def test_a_later_drive_needs_no_home(hall, tmp_path):
+    drive = first_seconds(tmp_path / "drive", 10.0)
+    (drive / "home.csv").unlink()
+    assert "no home.csv" in refused(call("run", drive, "--out", tmp_path / "alone"))
+    answer = done(call("run", drive, "--place", hall, "--out", tmp_path / "out"))
+    assert answer.output.startswith("Localised for ")
+    tables = drive / "odometry.csv", drive / "bearings.csv"
+    made = tmp_path / "made"
+    options = "--home", "none", "--out", made, "--picture", tmp_path / "import.png"
+    answer = done(call("import", *tables, *options))
+    assert f"homeward run {made} --place PLACE" in answer.output
+    again = done(call("run", made, "--place", hall, "--out", tmp_path / "again"))
+    assert again.output.startswith("Localised for ")

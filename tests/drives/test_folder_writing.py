@@ -17,6 +17,7 @@ from homeward.errors import InputError
 from homeward.io.table import is_identifier
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
+offsets = st.floats(-20.0, 20.0)
 angles = st.floats(-math.pi, math.pi, exclude_min=True)
 sigmas = st.one_of(st.just(math.nan), st.floats(0, exclude_min=True, allow_infinity=False))
 ids = st.text(min_size=1, max_size=8).filter(is_identifier)
@@ -54,7 +55,7 @@ drives = st.builds(
     home=st.dictionaries(ids, st.builds(HomeBearing, angles, sigmas), max_size=5),
     settings=st.builds(
         DriveSettings,
-        sensor=st.builds(Sensor, x=finite, yaw=finite, bearing_sigma=st.none() | deviation),
+        sensor=st.builds(Sensor, x=offsets, yaw=angles, bearing_sigma=st.none() | deviation),
         home_sensor=st.none() | st.builds(Mount, y=finite),
         odometry=st.builds(OdometryNoise, turn_sigma=st.none() | positive),
         start=st.none() | st.builds(Start, R=positive, theta=finite, alpha=finite),

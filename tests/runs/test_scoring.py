@@ -2,12 +2,16 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from homeward.drives.drive import Truth
+from homeward.drives.opening import open_drive
+from homeward.errors import InputError
 from homeward.estimator import Counts, Status
+from homeward.localizer.smoothing import smooth
 from homeward.reasons import Rejection
 from homeward.runs.scoring import (
     CHI_SQUARE_1_95,
@@ -18,7 +22,7 @@ from homeward.runs.scoring import (
     score,
     statistics,
 )
-from homeward.track import Innovations, Track
+from homeward.track import Innovations, Track, run
 
 
 def track(t, x=0.0, y=0.0, heading=0.0, sigma=0.1, status=None, **other):
@@ -227,3 +231,19 @@ def test_keys_name_their_units():
     plain = score(track(steps(1), x=1.0), still(steps(1))).as_dict()
     assert {"position_rmse_m", "R_p95_m", "theta_max_rad", "heading_median_rad"} <= set(plain)
     assert plain["localised_share"] == 1.0
+
+
+def test_what_is_no_track_and_no_truth_is_refused_with_what_to_give():
+    drive = open_drive("sample")
+    with pytest.raises(InputError, match="not a str; run gives one"):
+        score("track", None)
+    with pytest.raises(InputError, match=r"a Truth is needed, not a ndarray; give drive\.truth"):
+        score(track([0.0, 1.0]), np.zeros((3, 4)))
+    with pytest.raises(InputError, match=r"make one with make_estimator\('robust', drive\)"):
+        run(drive, "robust")
+    with pytest.raises(
+        InputError, match="a Drive is needed, not a .*Path; read one with open_drive"
+    ):
+        run(Path("sample"), None)
+    with pytest.raises(InputError, match="give the drive, not its track"):
+        smooth("track")

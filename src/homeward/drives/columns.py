@@ -15,20 +15,21 @@ from homeward.drives.wheels import ROLES as WHEELS
 from homeward.errors import InputError
 from homeward.io.table import Table
 
+_DEG = math.radians(1.0)
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "inch": 0.0254}
+_SPEEDS = {
+    **{"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "m/min": 1 / 60},
+    **{"ft/s": 0.3048, "in/s": 0.0254, "mph": 0.44704, "kn": 1852 / 3600},
+}
+_RATES = {"rad/s": 1.0, "deg/s": _DEG, "rpm": math.tau / 60, "rev/s": math.tau}
 UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6},
-    "rate": {"rad/s": 1.0, "deg/s": math.radians(1.0)},
-    "angle": {"rad": 1.0, "deg": math.radians(1.0), "mrad": 1e-3},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    "wheel": {
-        **{"ticks": 1.0, "rad": 1.0, "deg": math.radians(1.0), "rev": math.tau},
-        **{"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    },
-    "wheel speed": {
-        **{"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "ticks/s": 1.0},
-        **{"rad/s": 1.0, "deg/s": math.radians(1.0), "rpm": math.tau / 60, "rev/s": math.tau},
-    },
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "speed": _SPEEDS,
+    "rate": _RATES,
+    "angle": {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "gon": math.pi / 200, "rev": math.tau},
+    "length": _LENGTHS,
+    "wheel": {"ticks": 1.0, "rad": 1.0, "deg": _DEG, "rev": math.tau, **_LENGTHS},
+    "wheel speed": {**_SPEEDS, "ticks/s": 1.0, **_RATES},
     "pixel": {"px": 1.0},
     "name": {},
 }
@@ -40,7 +41,17 @@ _SPELT = {
     **{"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "metres": "m"},
     **{"meters": "m", "degrees/s": "deg/s", "radians/s": "rad/s", "m_s": "m/s"},
     **{"tick": "ticks", "count": "ticks", "counts": "ticks", "pulses": "ticks", "revs": "rev"},
+    **{"mins": "min", "minutes": "min", "ms-1": "m/s", "ms^-1": "m/s", "fps": "ft/s"},
+    **{"kt": "kn", "kts": "kn", "knots": "kn", "rads-1": "rad/s", "rads^-1": "rad/s"},
+    **{"grad": "deg", "grad/s": "deg/s", "gons": "gon", "turns": "rev", "revolutions": "rev"},
+    **{"rev/min": "rpm", "feet": "ft", "inches": "inch", "inch/s": "in/s"},
 }
+_BRACKETED = re.compile(r"([\[(<])([^\])>]+)[\])>]\s*$")
+_LETTER = re.compile(r"[^\W\d_]|°")
+_AMBIGUOUS = ("mil", "mils", "turn")
+"""Units with two meanings, or names of roles."""
+_NO_UNITS = ("x", "y", "z", "w")
+"""Texts in square brackets that are no unit but an axis."""
 ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
@@ -159,6 +170,10 @@ NO_LANDMARK = {"camera", "robot", "sensor", "device", "session", "map", "goal", 
 EXCLUDED = dict.fromkeys(("v", "vy"), UNUSED | ROTATIONAL) | dict.fromkeys("xyz", NO_PLACE)
 EXCLUDED["landmark"] = UNUSED | NO_LANDMARK
 """Words in names of columns that have no such role; `UNUSED` for others."""
+_OF_PIXELS = ("pixel", "px", "image")
+"""Words in names of columns of pixels."""
+MIN_NUMBERED = 3
+"""Number of columns that may be those of landmarks, of which a pose needs as many."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
 
@@ -358,12 +373,27 @@ def words_in(name: str) -> tuple[str, ...]:
 
 def unit_in(name: str, quantity: str) -> str | None:
     """Return the unit in the name of a column, as in ``speed [mm/s]`` or ``yaw_deg``."""
-    bracketed = re.search(r"[\[(<]([^\])>]+)[\])>]\s*$", name)
+    bracketed = _BRACKETED.search(name)
     parts = re.split(r"[_\s.]+", name.strip())
-    for text in [bracketed[1]] if bracketed else ("/".join(parts[-2:]), parts[-1]):
+    for text in [bracketed[2]] if bracketed else ("/".join(parts[-2:]), parts[-1]):
         if (unit := _unit(text)) in UNITS[quantity]:
             return unit
     return None
+
+
+def foreign_unit(name: str, quantity: str) -> str | None:
+    """Return the text in brackets in the name of a column where it is no unit of the quantity.
+
+    In square brackets, any text with letters is taken for a unit; in others, a unit of another
+    quantity and a quotient.
+    """
+    bracketed = _BRACKETED.search(name)
+    if not bracketed or unit_in(name, quantity) is not None:
+        return None
+    text = bracketed[2].strip()
+    is_quotient = "/" in text or is_unit(text) or text.lower() in _AMBIGUOUS
+    is_word = bracketed[1] == "[" and text.lower() not in _NO_UNITS and bool(_LETTER.search(text))
+    return text if is_quotient or is_word else None
 
 
 def _unit(text: str) -> str:
@@ -374,6 +404,14 @@ def _unit(text: str) -> str:
 def matches(name: str, role: str) -> bool:
     """Whether a name contains a word for a role."""
     return _score(name, role) != NO_MATCH
+
+
+def may_be(role: str, name: str) -> bool:
+    """Whether a column could have a role: its name shows no other role and no other unit."""
+    mine, words = ROLES[role][0], set(words_in(name))
+    is_of_other = any(unit_in(name, quantity) for quantity in UNITS) and not unit_in(name, mine)
+    is_of_other |= mine != "pixel" and not words.isdisjoint(_OF_PIXELS)
+    return not is_of_other and (matches(name, role) or not _scores(name))
 
 
 def ending(path: str, role: str) -> str | None:
@@ -431,6 +469,19 @@ def landmark_columns(names: Sequence[str], ids: Collection[str]) -> dict[str, st
         if landmark and (is_bearing or is_known) and landmark not in found:
             found[landmark] = name
     return found if len(found) > 1 else {}
+
+
+def numbered_columns(names: Sequence[str]) -> dict[str, str]:
+    """Return the columns that differ only in a number and have no role, as ``L1``, ``L2``, ``L3``.
+
+    By name; empty where there are fewer than `MIN_NUMBERED`, or two such sets.
+    """
+    by_shape: dict[str, list[str]] = {}
+    for name in names:
+        if not _scores(name):
+            by_shape.setdefault(_shape(name), []).append(name)
+    sets = [same for shape, same in by_shape.items() if "#" in shape and len(same) >= MIN_NUMBERED]
+    return {landmark_in(name)[0]: name for name in sets[0]} if len(sets) == 1 else {}
 
 
 def unit_of(columns: Sequence[str]) -> str | None:

@@ -50,6 +50,7 @@ def open_drive(
     home_during: tuple[float, float] | None = None,
     home_at: float | None = None,
     home_file: str | os.PathLike[str] | None = None,
+    home_needed: bool = True,
     on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
     """Read a drive in any known format.
@@ -72,6 +73,8 @@ def open_drive(
         bearings come from a map of the drive.
     home_file : path-like, optional
         A table like home.csv, instead.
+    home_needed : bool
+        Whether a drive folder must define home; later drives in a place need none.
     on_progress : callable, optional
         Receives the fraction done, in [0, 1], of a log, of images, or of the map for `home_at`.
 
@@ -95,7 +98,8 @@ def open_drive(
         drive = with_calibration(see_recording(place, on_progress), robot)
     elif kind == DRIVE_FOLDER:
         drive = with_calibration(
-            read_folder(place, home_needed=chosen is None and home_file is None), robot
+            read_folder(place, home_needed=home_needed and chosen is None and home_file is None),
+            robot,
         )
     else:
         from homeward.drives.ros.reading import read_log

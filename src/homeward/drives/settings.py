@@ -23,6 +23,10 @@ Delay = Annotated[float, Field(ge=-5, le=5)]
 """[s], up to `homeward.drives.plausibility.MAX_CLOCK_OFFSET_S`."""
 Scale = Annotated[float, Field(ge=0.5, le=2)]
 """True value over the measured one [1]; a larger error is a wrong unit or geometry."""
+Offset = Annotated[float, Field(ge=-20, le=20)]
+"""[m]; one beyond the size of vehicles is in another unit."""
+Turn = Annotated[float, Field(ge=-2 * math.pi - 1e-9, le=2 * math.pi + 1e-9)]
+"""[rad]; more than a turn is in degrees."""
 Number = TypeVar("Number", float, np.ndarray)
 
 
@@ -72,6 +76,12 @@ class OtherCamera(Mount):
 class Sensor(OtherCamera):
     """The camera of the drive."""
 
+    x: Offset = 0.0
+    """Ahead of the robot's centre [m]."""
+    y: Offset = 0.0
+    """To the left of it [m]."""
+    yaw: Turn = 0.0
+    """Yaw of the camera's axis relative to the robot's heading [rad]."""
     bearing_sigma: Annotated[float, Field(gt=0, le=math.pi)] | None = None
     """Standard deviation of a bearing [rad]; None when unknown."""
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None

@@ -160,10 +160,11 @@ def read_settings(path: Path, model: type[Model]) -> Model:
 def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
     """Parse the text of a settings model as `read_settings` does; errors name `path`."""
     # Values stay text: the model converts them.
-    tree = _without_absent(parse_yaml(text, path, typed=False))
+    known = {head for key in keys(model) for head in _heads(key.name)}
+    tree = _without_absent(parse_yaml(text, path, typed=False), known)
     if not isinstance(tree, dict):
         raise InputError("not a mapping of keys to values", path, advice="write KEY: VALUE lines")
-    sections = {k: _without_absent(v) for k, v in tree.items()}
+    sections = {k: _without_absent(v, known, f"{k}.") for k, v in tree.items()}
     return validated(model, sections, path)
 
 
@@ -246,12 +247,22 @@ def _read(path: Path) -> bytes:
     return read_small(path, MAX_SETTINGS_BYTES, "settings")
 
 
-def _without_absent(value: Any) -> Any:
-    """Drop the keys without a value; an absent mapping is empty."""
+def _heads(key: str) -> list[str]:
+    """Return the prefixes of a dotted key, and the key itself: ``a``, ``a.b``, ``a.b.c``."""
+    parts = key.split(".")
+    return [".".join(parts[: n + 1]) for n in range(len(parts))]
+
+
+def _without_absent(value: Any, known: set[str], of: str = "") -> Any:
+    """Drop the known keys without a value of a mapping at `of`; an absent mapping is empty."""
     if value in (None, "", "null", "~"):
         return {}
     if isinstance(value, dict):
-        return {k: v for k, v in value.items() if v not in ("", "null", "~")}
+        return {
+            k: v
+            for k, v in value.items()
+            if v not in ("", "null", "~") or known.isdisjoint((f"{of}{k}", f"{of}{ANY}"))
+        }
     return value
 
 
@@ -315,8 +326,7 @@ def closest(name: str, model: type[Strict]) -> str | None:
         of_last, of_all = (SequenceMatcher(None, a, b).ratio() for a, b in pairs)
         return of_last, of_all
 
-    known = (key.name.split(".") for key in keys(model))
-    heads = (".".join(k[: n + 1]) for k in known for n in range(len(k)))
+    heads = (head for key in keys(model) for head in _heads(key.name))
     best = max(heads, key=similarity, default="")
     if similarity(best)[0] < MIN_SIMILARITY:
         return None

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.errors import REQUEST, Attempts, InternalFailure, failure_notes
+from homeward.errors import REQUEST, Attempts, InternalFailure, failure_notes, require_kind
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
@@ -62,6 +62,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
         row next to a keyframe has a pose whose bearings contradict the solution, nor one where a
         new map replaced one.
     """
+    require_kind(drive, Drive, "give the drive, not its track")
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
     localizer.retain_marginalised()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import TRUTH_GAP_S, Columns, Truth, is_slow
+from homeward.errors import require_kind
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
@@ -202,7 +203,15 @@ def score(track: Track, truth: Truth | None, largest_sigma: float = MAX_SIGMA_M)
     `truth` holds true poses in the home frame. Rows outside its span, or inside one of its gaps
     longer than `TRUTH_GAP_S`, are not scored; if most gaps are longer, the rows at its stamps are.
     `largest_sigma` is the limit of the robot [m].
+
+    Raises
+    ------
+    InputError
+        When `track` or `truth` is something else.
     """
+    require_kind(track, Track, "run gives one")
+    if truth is not None:
+        require_kind(truth, Truth, "give drive.truth, or Truth(t, x, y, heading)")
     seconds = np.diff(track.t, append=track.t[-1:])
     duration = float(seconds.sum())
     posed = np.flatnonzero(track.has_pose)

@@ -166,6 +166,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         raise InputError(f"a place is for the estimator {DEFAULT}, not {run.estimator}")
     if run.is_smoothed and not isinstance(settings, LocalizerSettings):
         raise InputError(f"{run.estimator} cannot smooth; use the estimator robust")
+    visits = run.place is not None and run.place_version != 0 and _is_place(run.place)
     drive = open_drive(
         drive_path(run),
         topics=run.topics,
@@ -174,12 +175,12 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         home_during=run.home_during,
         home_at=run.home_at,
         home_file=run.home_file,
+        home_needed=not visits,
         on_progress=progress,
     )
     require_senses(drive)
     if not drive.sightings.t.size:
         raise _no_sightings(drive_path(run), drive.remark_lines)
-    visits = run.place is not None and run.place_version != 0 and _is_place(run.place)
     if not (drive.home or visits) and not (
         drive.known.surveyed_from_home and run.estimator == DEFAULT
     ):

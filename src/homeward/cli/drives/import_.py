@@ -78,7 +78,8 @@ def import_(
         typer.Option(
             metavar=shared.HOME_FORMS,
             help="Home: a table with its bearings; or when the robot was at rest there, turned on "
-            "the spot there, or had the pose that is home [s from the start]. mrclam: X,Y,HEADING "
+            "the spot there, or had the pose that is home [s from the start]; none: a drive in a "
+            "place. mrclam: X,Y,HEADING "
             "[m, m, rad] in the survey.",
         ),
     ] = None,
@@ -107,7 +108,8 @@ def import_(
         raise InputError(
             "--robot, --home-noise-deg and --seed are only for: homeward import mrclam"
         )
-    chosen = shared.home_choice(home)
+    home_needed = home != "none"
+    chosen = shared.home_choice(home if home_needed else None)
     if (table := chosen.pop("home_file", None)) is not None:
         files, kinds = [*files, Path(table)], [*(kinds or ()), f"{Path(table).name}=home"]
         home = None
@@ -143,12 +145,13 @@ def import_(
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
     with shared.progress("mapping the drive for home") as on_progress:
         name = "import" if out is None else out.name
-        drive = drive_of(found, name, when, geometry, on_progress)
+        drive = drive_of(found, name, when, geometry, on_progress, home_needed=home_needed)
     write_whole(picture, png(draw_drive(drive)))
-    remarks = [*drive.remark_lines, *sense_warnings(drive, found), *home_warnings(drive)]
+    remarks = [*drive.remark_lines, *sense_warnings(drive, found)]
+    remarks += home_warnings(drive) if home_needed else []
     if out is not None:
         save_drive(drive, out, commented=True)
-        following = command("run", out)
+        following = command("run", out, *(() if home_needed else ("--place", "PLACE")))
     else:
         options: list[tuple[str, object]] = [("--columns", text) for text in columns or ()]
         options += [("--as", text) for text in kinds or ()]

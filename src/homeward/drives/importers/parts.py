@@ -13,6 +13,7 @@ from homeward.drives.columns import (
     OPTIONAL,
     UNITS,
     Column,
+    foreign_unit,
     long,
     words_in,
 )
@@ -40,6 +41,8 @@ MAX_POSES = 2000
 """Maximum number of poses that are compared; steps between fewer poses have less noise."""
 MIN_FIT = 0.7
 """Minimum fit of a path along its headings [1]; random directions have 0."""
+FULL_TURN_DEG, FULL_TURN_GON = 366.0, 400.5
+"""Largest bearings of one turn in degrees, with some excess, and in gon; more count the turns."""
 MAX_TILT = 0.5
 """Roll and pitch without a unit beyond it may be in degrees [rad]."""
 
@@ -184,6 +187,14 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
     largest = float(values.max(initial=0.0))
     if column.unit is not None:
         return column.unit, "named"
+    if (unknown := foreign_unit(column.name, column.quantity)) is not None:
+        units = ", ".join(UNITS[column.quantity])
+        raise InputError(
+            f"{unknown!r} of {column.name!r} is no unit of {column.role}, as {units} are",
+            table.file,
+            advice="convert the column, or give its unit, as in --columns "
+            f"'{column.role}={column.name}[{column.si}]'",
+        )
     if column.quantity == "time":
         # Two programs may write the stamps of one clock in different units.
         own = _unix_unit(table["t"])
@@ -221,6 +232,12 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
         unit = _heading_unit(table["x"], table["y"], column.sign * table["heading"])
         if unit is not None:
             return unit, "guessed: along the path"
+    if column.role == "bearing" and FULL_TURN_DEG < largest <= FULL_TURN_GON:
+        raise InputError(
+            f"{column.name!r} reaches {largest:.6g}, too much for degrees of one turn",
+            table.file,
+            advice=f"give its unit, as in --columns '{column.role}={column.name}[gon]' or [deg]",
+        )
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:

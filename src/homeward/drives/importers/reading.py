@@ -233,6 +233,8 @@ def drive_of(
     home: HomeWhen | None = None,
     wheels: Wheels | None = None,
     on_progress: Callable[[float], None] | None = None,
+    *,
+    home_needed: bool = True,
 ) -> Drive:
     """Return the drive of imported tables, with its home as in `open_drive`.
 
@@ -240,7 +242,7 @@ def drive_of(
     table, or the file and row of the problem.
     """
     tables = {one.kind: one.table for one in found}
-    for kind in ("odometry", "bearings", "home")[: 3 if home is None else 2]:
+    for kind in ("odometry", "bearings", "home")[: 3 if home is None and home_needed else 2]:
         if kind not in tables:
             needs = ", ".join(KINDS[kind]) + OTHER_SOURCES[kind]
             label = kind.replace("home", "home bearings")

@@ -18,6 +18,8 @@ from homeward.drives.columns import (
     landmark_columns,
     landmark_in,
     matches,
+    may_be,
+    numbered_columns,
     recognised,
     times_in,
     unit_of,
@@ -87,6 +89,7 @@ def parts_of(
         if not found.get("bearings") and not found.get("home"):
             others.append(one)
     ids = _landmark_ids(parts, others)
+    has_bearings = any(part.kind == "bearings" for part in parts)
     for one in others:
         kind, mine = (kinds or {}).get(one.path.name), one.specified(specified)
         # The number of a column is no landmark id, although ids may be numbers.
@@ -94,6 +97,8 @@ def parts_of(
         free = [name for name in one.names if name not in used]
         across = {} if one.headless else landmark_columns(free, ids)
         t = times_in(one.names, mine)
+        if not (across or has_bearings or ids or one.headless or t is None):
+            across = numbered_columns([name for name in free if name != t.name])
         if across and (t is not None or one.one_row) and kind in (None, _wide_kind(t)):
             parts.append(_wide_part(one, across, t, mine))
         elif all(part.sheet is not one for part in parts):
@@ -296,11 +301,13 @@ def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
         a, b, c, *_ = (*numbers.values(), *"ABC")
         return f"give their roles, as in --columns '{file}t={a}, landmark={b}, bearing={c}'"
     used = {*found[kind].values(), *(n for c in boxes.values() for n in (c.name, *c.more))}
-    free = [numbers.get(n, n) for n in one.names if n and n not in used]
     missing = [role for role in KINDS[kind] if role not in found[kind]]
-    roles = ", ".join(
-        f"{role}={name}" for role, name in zip(missing, [*free, *"ABCD"], strict=False)
-    )
+    free, proposed = [n for n in one.names if n and n not in used], list[str]()
+    for role in missing:
+        name = next((name for name in free if may_be(role, name)), None)
+        proposed.append(f"{role}={numbers.get(name, name) if name else 'COLUMN'}")
+        free = [other for other in free if other != name]
+    roles = ", ".join(proposed)
     known = ", ".join(f"{role} ({name})" for role, name in found[kind].items())
     return f"give {' and '.join(missing)}, as in --columns '{file}{roles}', for {kind} with {known}"
 
