@@ -229,7 +229,8 @@ def _reals(values: Any) -> dict[str, float]:
     if not isinstance(values, Mapping):
         raise InputError(f"a {type(values).__name__} instead of bearings or sigmas by landmark id")
     if other := [name for name in values if not isinstance(name, str)]:
-        raise InputError(f"a landmark id must be text, not {str(other[0])[:40]!r}")
+        advice = "give str(id)"
+        raise InputError(f"a landmark id must be text, not {str(other[0])[:40]}", advice=advice)
     return {n: value if type(value) is float else real(value) for n, value in values.items()}
 
 

@@ -66,7 +66,8 @@ def known_settings(model: type[Model], settings: Model | dict[str, Any] | None) 
 
 def _home_bearing(name: object, seen: object) -> HomeBearing:
     if not isinstance(name, str):
-        raise InputError(f"a landmark id must be text, not {name!r}", part="home")
+        advice = "give str(id)"
+        raise InputError(f"a landmark id must be text, not {name!r}", part="home", advice=advice)
     given = seen if isinstance(seen, HomeBearing) else HomeBearing(cast(float, seen))
     with naming_file(part=f"home: {name!r}"):
         bearing, sigma = real(given.bearing), real(given.sigma)
