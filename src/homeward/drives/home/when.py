@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry
+from homeward.drives.home.rest import rest_directions
 from homeward.drives.home.spin import home_remark, spin, spin_remarks
 from homeward.drives.robot import with_first_camera
 from homeward.drives.settings import HomeWhen
@@ -56,7 +56,7 @@ def with_home(
         home, remarks = _home_at(drive, first, on_progress)
     elif when.during is not None:
         _require_still(first, last, drive.odometry)
-        home, remarks = _mean_directions(drive, first, last), {}
+        home, remarks = _seen_at_rest(drive, first, last)
     else:
         settings = with_first_camera(drive.settings, drive)
         found = spin((first, last), drive.odometry, drive.sightings, settings)
@@ -100,8 +100,8 @@ def _home_at(
             f"bearings there, and no sighting is within {MAX_AGE_S:g} s",
             advice="choose a time with landmarks in view",
         )
-    home = _mean_directions(drive, nearest, nearest)
-    return home, {SEEN.format(nearest - drive.span[0], MIN_MAPPED): len(home)}
+    home, remarks = _seen_at_rest(drive, nearest, nearest)
+    return home, {SEEN.format(nearest - drive.span[0], MIN_MAPPED): len(home), **remarks}
 
 
 def _require_still(first: float, last: float, odometry: Odometry) -> None:
@@ -118,17 +118,12 @@ def _require_still(first: float, last: float, odometry: Odometry) -> None:
         )
 
 
-def _mean_directions(drive: Drive, first: float, last: float) -> dict[str, HomeBearing]:
-    """Return the mean bearing of each landmark in view in an interval [s]."""
-    seen, home = drive.sightings, dict[str, HomeBearing]()
-    at_home = seen.rows((seen.t >= first) & (seen.t <= last))
-    for landmark in dict.fromkeys(at_home.landmark.tolist()):
-        own = at_home.rows(at_home.landmark == landmark)
-        camera = Counter(own.camera.tolist()).most_common(1)[0][0]
-        mine = own.bearing[own.camera == camera]
-        direction = float(np.arctan2(np.sin(mine).sum(), np.cos(mine).sum()))
-        home[landmark] = HomeBearing(direction, camera=camera)
-    return home
+def _seen_at_rest(
+    drive: Drive, first: float, last: float
+) -> tuple[dict[str, HomeBearing], dict[str, int]]:
+    """Return the bearing of each landmark in view in an interval [s], and remarks."""
+    seen = drive.sightings
+    return rest_directions(seen.rows((seen.t >= first) & (seen.t <= last)))
 
 
 def _seen_from(drive: Drive, t: float) -> Drive:

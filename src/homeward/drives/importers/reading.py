@@ -51,6 +51,7 @@ from homeward.io.naming import command, listing, natural
 from homeward.io.table import Table, quoted
 from homeward.odometry.history import dead_reckoning
 from homeward.plugins import FAULTS, fault, installed, load
+from homeward.sighting_keys import is_unlabelled
 
 SOURCES = "homeward.sources"
 
@@ -305,7 +306,7 @@ def sense_warnings(drive: Drive, found: Sequence[ImportedColumn]) -> list[str]:
 def home_warnings(drive: Drive) -> list[str]:
     """Return warnings about landmarks that home and the drive do not have in common."""
     seen, home = set(drive.sightings.landmark.tolist()), set(drive.home)
-    both, without_home = len(seen & home), len(seen - home)
+    both, without_home = len(seen & home), sum(not is_unlabelled(name) for name in seen - home)
     if both < MIN_COMMON:
         here, there = (
             listing([quoted(name) for name in sorted(names, key=natural)] or ["none"], 3)
