@@ -493,25 +493,6 @@ def unit_of(columns: Sequence[str]) -> str | None:
     return units.pop()
 
 
-def long(raw: Table, landmarks: Sequence[str]) -> Table:
-    """Return a table with a row for each sighting of one with columns 0, 1, ... of landmarks.
-
-    `InputError` where a row has two bearings of exactly 0, which mark landmarks out of view.
-    """
-    values, t = np.stack([raw[str(k)] for k in range(len(landmarks))], axis=1), raw.columns.get("t")
-    twice = np.flatnonzero((values == 0).sum(axis=1) > 1)
-    if twice.size:
-        advice = "leave the cells of landmarks out of view empty"
-        problem, number = "two bearings of exactly 0", int(raw.row[twice[0]])
-        raise InputError(problem, raw.file, number, advice=advice)
-    seen = np.isfinite(values) if t is None else np.isfinite(values) & np.isfinite(t)[:, None]
-    row, column = np.nonzero(seen)
-    cells = {"landmark": np.array(landmarks, object)[column], "bearing": values[row, column]}
-    if t is not None:
-        cells["t"] = t[row]
-    return Table(raw.file, raw.row[row], cells)
-
-
 def _shape(landmark: str) -> str:
     return re.sub(r"\d+", "#", landmark)
 

@@ -14,7 +14,6 @@ from homeward.drives.columns import (
     UNITS,
     Column,
     foreign_unit,
-    long,
     words_in,
 )
 from homeward.drives.folder import sorted_by_time
@@ -28,6 +27,7 @@ from homeward.drives.importers.positions import (
     Axes,
 )
 from homeward.drives.importers.sheet import Sheet
+from homeward.drives.importers.wide import long
 from homeward.drives.wheels import base_of, guessed_unit
 from homeward.errors import InputError
 from homeward.io.table import Table
