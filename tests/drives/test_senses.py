@@ -1,18 +1,24 @@
 """The test of senses, units and frames: short form of `benchmarks.senses`, and its users."""
 
 import dataclasses
+import math
 import re
 
 import numpy as np
 import pytest
 
 from benchmarks.senses import FAULTS, simulated, slipping
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.folder import read_folder
+from homeward.drives.importers import reading
 from homeward.drives.importers.reading import drive_of, understand
+from homeward.drives.importers.sense import NOT_DECIDED
 from homeward.drives.opening import open_drive, sample_drive, save_drive
-from homeward.drives.senses import REMEDIES, SHOWS, Sense, compare_senses, senses_of
+from homeward.drives.senses import REMEDIES, SHOWS, UNDECIDED, Sense, compare_senses, senses_of
+from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
+from homeward.odometry.history import dead_reckoning
 from homeward.runs.single_run import RunSettings, opened
 
 
@@ -73,6 +79,36 @@ def test_a_run_of_reversed_bearings_has_a_remark(plain):
     assert senses_of(drive).sense is Sense.REVERSED
 
 
+def rounds(seed):
+    """Return a drive on bends, mostly to the left, among 12 landmarks, in bearings of a compass."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 90.0, 0.05)
+    speed, omega = 0.4 + 0.15 * np.sin(t / 5), 0.25 * np.sin(math.tau * t / 17) + 0.17
+    path = dead_reckoning(Odometry(t, speed, omega), t)
+    angle = math.tau * np.arange(12) / 12 + rng.uniform(-0.2, 0.2, 12)
+    x, y = (size * rng.uniform(0.8, 1.1, 12) for size in (5.5, 4.5))
+    frames = np.arange(0, t.size, 4)
+    dx = x * np.cos(angle) - path.x[frames, None]
+    dy = y * np.sin(angle) - path.y[frames, None]
+    bearing = np.arctan2(dy, dx) + rng.normal(0.0, 0.012, dx.shape)
+    names = np.tile(np.array([f"L{k}" for k in range(12)], object), frames.size)
+    return Odometry(t, speed, omega), np.repeat(t[frames], 12), names, wrap(bearing).ravel()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bearings_of_a_compass_are_refused_and_change_no_unit_of_yaw_rates(seed, tmp_path):
+    """The mean of parallax changes them by as much as 1/57 of the rotation."""
+    odometry, t, names, bearing = rounds(seed)
+    home = {name: HomeBearing(float(b)) for name, b in zip(names[:12], bearing[:12], strict=True)}
+    seen = Sightings(t, names, bearing, np.full(t.size, np.nan))
+    drive = Drive("", odometry, seen, home, DriveSettings())
+    for sign in (1.0, -1.0):  # clockwise, as a compass has them
+        found = understand(write(tmp_path, drive, sign * bearing))
+        assert next(one.unit for one in found if one.column.role == "omega") == "rad/s"
+        with pytest.raises(InputError, match="do not turn with the robot: they are in a fixed"):
+            drive_of(found, "")
+
+
 def write(folder, drive, bearing, omega=1.0, wide=False):
     """Write the tables of a drive with these bearings; return their paths."""
     o, s = drive.odometry, drive.sightings
@@ -108,6 +144,17 @@ def test_the_unit_of_slow_yaw_rates_follows_from_the_bearings(plain, tmp_path):
         assert drive.odometry.omega == pytest.approx(slow.odometry.omega, abs=1e-9)
     (option,) = (re.search(r"--columns '(.*)'", line)[1] for line in drive.remarks)
     assert next(o for o in understand(paths, [option]) if o.column.role == "omega").unit == "rad/s"
+
+
+def test_a_unit_that_fits_the_bearings_is_not_reported_as_untested(plain, tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "require_imported_senses", lambda *_: UNDECIDED)
+    o = plain.odometry
+    slow = dataclasses.replace(o, t=10.0 * o.t, v=o.v / 10.0, omega=o.omega / 10.0)
+    seen = dataclasses.replace(plain.sightings, t=10.0 * plain.sightings.t)
+    slow = dataclasses.replace(plain, odometry=slow, sightings=seen)
+    for factor, warnings in ((1.0, [NOT_DECIDED]), (np.degrees(1.0), [])):
+        found = understand(write(tmp_path, slow, seen.bearing, omega=factor))
+        assert reading.sense_warnings(drive_of(found, ""), found) == warnings
 
 
 @pytest.mark.parametrize("wide", [False, True])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import product
@@ -35,6 +36,9 @@ NOISES = 0.003, 0.01, 0.03, 0.1, 0.3
 """Standard deviations of an interval's vote that are tried [rad]."""
 PARALLAXES = 0.0, 0.03, 0.1, 0.3, 1.0
 """Standard deviations of parallax that are tried [rad/m]."""
+BIASES = 0.0, 0.5, -0.5, 1.0, -1.0
+"""Means of parallax in rotation to either side that are tried, over its standard deviation [1]:
+landmarks are seldom equally near on both sides of the path, and the mean is no rotation."""
 MIN_EVIDENCE, MIN_EVIDENCE_OF_SIDE, INFORMATIVE = 12.0, 4.0, 0.5
 """Minimum log-likelihood ratio of a decision, in all, in rotation to either side, and of an
 interval that counts."""
@@ -82,6 +86,8 @@ class Sense(Enum):
         return 1.0 / abs(self.value) if self.value else 1.0
 
 
+NOT_TURNING = {Sense.FIXED_FRAME, Sense.RATE_TOO_LARGE, Sense.RATE_TOO_LARGE_REVERSED}
+"""Senses that differ by a small part of the rotation: the mean of parallax may be as large."""
 _LARGE = "yaw rates are 57 times too large for the bearings, as in deg/s"
 _SMALL = "bearings turn 57 times faster than the yaw rates"
 _TO_RAD, _BOTH = "convert them to rad/s", "convert both from degrees to radians, or neither"
@@ -92,8 +98,8 @@ REMEDIES = {
     ),
     Sense.FIXED_FRAME: (
         "the bearings do not turn with the robot: they are in a fixed frame, as of a compass or "
-        "with the heading already added, or fixed anchors measured them, or the motion is not "
-        "planar",
+        "with the heading added, fixed anchors measured them, the motion is not planar, or a unit "
+        "is wrong",
         "give bearings from the axis of a camera on the robot",
     ),
     Sense.RATE_TOO_LARGE: (_LARGE, _TO_RAD),
@@ -217,16 +223,28 @@ class _Votes:
         self._turn, self._path, self._noise, self._rate = turn, path, noise, rate
         self._num = num
 
-    def log_likelihood(self, sense: Sense, residual: np.ndarray) -> np.ndarray:
-        """Return the log-likelihood (n,) of each interval, with the noise that fits best."""
+    def log_likelihood(
+        self, sense: Sense, residual: np.ndarray, biases: Sequence[float] = (0.0,)
+    ) -> np.ndarray:
+        """Return the log-likelihood (n,) of each interval, with the noise that fits best.
+
+        `biases` are means of parallax to either side that are tried, as `BIASES`.
+        """
         scale = DEG if abs(sense.value) > 1.0 else 1.0
         slope, error = sense.value / scale, residual / scale
         of_turn = slope**2 * (np.square(GAIN_ERROR * self._turn) + self._noise**2)
         best = np.full(error.size, -np.inf)
         for noise, parallax in product(NOISES, PARALLAXES):
             variance = noise**2 + np.square(parallax * self._path) + of_turn
-            density = np.exp(-0.5 * error**2 / variance) / np.sqrt(math.tau * variance)
-            logs = np.log((1.0 - BAD_INTERVAL) * density + BAD_INTERVAL / math.tau)
+            logs = np.full(error.size, -np.inf)
+            for bias, side in product(biases, (self._turn > 0, self._turn < 0)):
+                off = (error - bias * parallax * self._path)[side]
+                spread = variance[side]
+                density = np.exp(-0.5 * off**2 / spread) / np.sqrt(math.tau * spread)
+                mine = np.log((1.0 - BAD_INTERVAL) * density + BAD_INTERVAL / math.tau)
+                mine -= 0.5 * bias**2 / max(mine.size, 1)
+                if mine.sum() > logs[side].sum():
+                    logs[side] = mine
             best = logs if logs.sum() > best.sum() else best
         return best - math.log(scale)
 
@@ -243,7 +261,9 @@ class _Votes:
         logs = {sense: self.log_likelihood(sense, e) for sense, e in residuals.items()}
         total = {sense: float(log.sum()) + self.log_prior(sense) for sense, log in logs.items()}
         sense = max(total, key=total.__getitem__)
-        others = [s for s in Sense if s is not sense]
+        if sense in NOT_TURNING:
+            sense = self._not_turning(residuals)
+        others = [s for s in Sense if s is not sense and {s, sense} - NOT_TURNING]
         gain = logs[sense] - logs[Sense.REVERSED if sense is Sense.RIGHT else Sense.RIGHT]
         counts = np.abs(gain) > INFORMATIVE
         found = SenseTest(None, int(counts.sum()))
@@ -269,6 +289,16 @@ class _Votes:
             float(np.median(np.abs(residuals[s][counts]))) for s in (sense, Sense.RIGHT)
         )
         return found if misfit > MAX_MISFIT * usual else dataclasses.replace(found, sense=sense)
+
+    def _not_turning(self, residuals: dict[Sense, np.ndarray]) -> Sense:
+        """Return the sense of bearings that hardly turn: a unit only if it fits much better."""
+        total = {
+            s: float(self.log_likelihood(s, residuals[s], BIASES).sum()) + self.log_prior(s)
+            for s in NOT_TURNING
+        }
+        best = max(total, key=total.__getitem__)
+        is_unit = total[best] - total[Sense.FIXED_FRAME] >= MIN_GAIN
+        return best if is_unit else Sense.FIXED_FRAME
 
 
 def senses_of(drive: Drive) -> SenseTest:

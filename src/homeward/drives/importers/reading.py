@@ -35,7 +35,7 @@ from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part
 from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
-from homeward.drives.importers.sense import NOT_DECIDED, require_imported_senses, with_senses
+from homeward.drives.importers.sense import FITS, NOT_DECIDED, require_imported_senses, with_senses
 from homeward.drives.importers.sheet import Sheet, sheet
 from homeward.drives.measure import with_yaw_rate
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
@@ -300,7 +300,9 @@ def _averaged(home: Table, remarks: dict[str, int]) -> Table:
 
 def sense_warnings(drive: Drive, found: Sequence[ImportedColumn]) -> list[str]:
     """Return a warning where the senses and units of bearings could not be tested."""
-    return [NOT_DECIDED] if require_imported_senses(drive, found).sense is None else []
+    is_tested = any(one.source.endswith(FITS) for one in found)  # in its former unit
+    decided = require_imported_senses(drive, found).sense
+    return [] if is_tested or decided is not None else [NOT_DECIDED]
 
 
 def home_warnings(drive: Drive) -> list[str]:
