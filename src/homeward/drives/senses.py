@@ -22,6 +22,7 @@ from homeward.drives.drive import Drive, Odometry
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.odometry.history import dead_reckoning_unwrapped
+from homeward.sighting_keys import TRACK, is_unlabelled
 
 DEG = math.degrees(1.0)
 ABSURD = 1e6
@@ -147,14 +148,17 @@ def compare_senses(
     """Compare the changes of bearings with the rotation of the odometry.
 
     `t` [s], `landmark`, `bearing` [rad] and optionally `camera`, (n,), are sightings in order of
-    time. Bearings may be in another unit, and need not be wrapped.
+    time. Bearings may be in another unit, and need not be wrapped. Landmarks without ids do not
+    count: their keys change from frame to frame.
     """
     twists = np.abs([odometry.v, odometry.omega])
     if odometry.t.size < 3 or (twists > ABSURD).any():
         return UNDECIDED
     usable = (t >= odometry.t[0]) & (t <= odometry.t[-1]) & np.isfinite(bearing)
-    t, landmark, bearing = t[usable], landmark[usable], bearing[usable]
-    track = np.unique(landmark.astype(str), return_inverse=True)[1]
+    names, track = np.unique(landmark.astype(str), return_inverse=True)
+    has_id = [not is_unlabelled(name) or name.startswith(TRACK) for name in names.tolist()]
+    usable &= np.array(has_id, bool)[track]
+    t, track, bearing = t[usable], track[usable], bearing[usable]
     if camera is not None:
         number = np.unique(camera[usable].astype(str), return_inverse=True)[1]
         track = track * (number.max(initial=0) + 1) + number

@@ -74,7 +74,8 @@ class ImportedColumn:
         """Range of the values in SI units; for names, their number."""
         values = self.table[self.column.role]
         if self.column.quantity == "name":
-            return f"{len(set(values.tolist()))} names"
+            names = set(values.tolist()) - {""}
+            return f"{len(names)} names" if names else "no ids"
         seen, digits = values[np.isfinite(values)], 12 if self.column.role == "t" else 6
         ends = f"{seen.min():.{digits}g} to {seen.max():.{digits}g}" if seen.size else ""
         is_wheel = self.column.quantity.startswith("wheel")
@@ -166,6 +167,8 @@ class Part:
         """Read a table with a row for each sample; return it with the number of incomplete rows."""
         raw = self.sheet.values(self.columns)
         needed = [role for role in self.columns if role not in OPTIONAL["bearings"]]
+        if "landmark" in needed and not (raw["landmark"] != "").any():  # without ids
+            needed.remove("landmark")
         given = np.stack([_has_value(raw[role]) for role in needed])
         complete, partial = given.all(axis=0), given.any(axis=0)
         if partial.any() and not complete.any():

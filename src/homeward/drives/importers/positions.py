@@ -83,6 +83,11 @@ def position_columns(
         assigned((*required, *place), _of_point(names), specified, optional) for place in places
     )
     columns = next((columns for columns in found if columns), None)
+    if columns is None and given:  # without ids, if no other column may have them
+        required.remove("landmark")
+        plain = assigned((*required, *given), names, specified, optional) or {}
+        is_whole = plain and len(plain) == len(names)
+        columns = {**plain, "landmark": Column("landmark", "")} if is_whole else None
     chosen = [c for r, c in (columns or {}).items() if r in AXIS_ROLES and not c.is_specified]
     if len({_point(c.name, c.role) for c in chosen}) > 1:
         shown = " and ".join(repr(c.name) for c in chosen)

@@ -28,7 +28,7 @@ FITS = "fits the bearings"
 UNIT = "rows with {} in {}, which fits the bearings; to keep it, use --columns '{}={}[{}]'"
 NOT_DECIDED = (
     "Senses and units of bearings and yaw rates were not tested: too few intervals in which the "
-    "robot turns to both sides. Check that both are anti-clockwise."
+    "robot turns to both sides and sees landmarks with ids. Check that both are anti-clockwise."
 )
 WRONG_WAY = (
     "the odometry turns the wrong way: its yaw rates and the bearings have opposite signs in {:,} "

@@ -232,16 +232,22 @@ class Sheet:
         return {str(k): name for k, name in enumerate(self.names, 1)} if self.headless else {}
 
     def values(self, columns: Mapping[str, Column]) -> Table:
-        """Read columns, combined with their `more`, in their own units, by the same keys."""
+        """Read columns, combined with their `more`, in their own units, by the same keys.
+
+        A column without a name, that of landmarks without ids, is empty.
+        """
         kinds = {"name": names, "time": time_parser(self.decimal_comma)}
         numbers = number_parser(self.decimal_comma)
         parsers: dict[str, Parser] = {
             name: kinds.get(column.quantity, numbers)
             for column in columns.values()
             for name in (column.name, *column.more)
+            if name
         }
         raw = read_csv(self.path, parsers, form=self.form)
-        return replace(raw, columns={key: value_of(raw, c) for key, c in columns.items()})
+        empty = np.full(len(raw), "", object)
+        values = {key: value_of(raw, c) if c.name else empty for key, c in columns.items()}
+        return replace(raw, columns=values)
 
     def specified(self, columns: Sequence[Column]) -> list[Column]:
         """Return the specified `columns` of this file, with the names in it."""

@@ -1,0 +1,66 @@
+"""Import of landmarks without ids: reflectors of a laser scanner, as bearings or positions."""
+
+import numpy as np
+import pytest
+
+from homeward.drives.drive import Odometry
+from homeward.drives.importers.reading import drive_of, understand
+from homeward.drives.senses import UNDECIDED, senses_of
+from homeward.drives.settings import home_when
+from homeward.errors import InputError
+from homeward.odometry.history import dead_reckoning
+
+REFLECTORS = 8.0 * np.exp(2j * np.pi * (np.arange(9) + 0.3 * np.sin(np.arange(9.0))) / 9)
+REST = home_when(home_during=(0.0, 4.0))
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Write 60 s of odometry, at rest for 5 s, and return a function that writes reflectors."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 60.0, 0.1)
+    moves = t >= 5.0
+    v, omega = 0.3 * moves, 0.4 * np.sin(t / 4) * moves
+    lines = (f"{a:.2f},{b:.5f},{c:.5f}" for a, b, c in zip(t, v, omega, strict=True))
+    (tmp_path / "odometry.csv").write_text("\n".join(["t,v,omega", *lines]))
+    path = dead_reckoning(Odometry(t, v, omega), t)
+    rows = []
+    for k in range(0, t.size, 2):
+        seen = (REFLECTORS - path.x[k] - 1j * path.y[k]) * np.exp(-1j * path.heading[k])
+        seen *= np.exp(1j * rng.normal(0.0, 0.004, seen.size))
+        rows += [(t[k], p) for p in seen[np.argsort(np.angle(seen))]]
+
+    def write(header, row):
+        table = tmp_path / "reflectors.csv"
+        table.write_text("\n".join([header, *(row(a, p) for a, p in rows)]))
+        return [tmp_path / "odometry.csv", table]
+
+    return write
+
+
+def imported(paths, *columns):
+    drive = drive_of(understand(paths, columns), "", REST)
+    found = np.sort([seen.bearing for seen in drive.home.values()])
+    assert found == pytest.approx(np.sort(np.angle(REFLECTORS)), abs=0.004)
+    return drive
+
+
+def test_an_empty_column_of_ids_is_that_of_landmarks_without_ids(files):
+    bearings = files("t,landmark,bearing", lambda t, p: f"{t:.2f},,{np.angle(p):.5f}")
+    assert imported(bearings).sightings.landmark[:2].tolist() == ["class:#1", "class:#2"]
+    imported(files("t,landmark,x,y", lambda t, p: f"{t:.2f},,{p.real:.4f},{p.imag:.4f}"))
+
+
+def test_positions_without_ids_are_imported_where_their_axes_are_given(files):
+    paths = files("t,x,y", lambda t, p: f"{t:.2f},{p.real:.4f},{p.imag:.4f}")
+    with pytest.raises(InputError, match="not recognised"):
+        understand(paths)
+    imported(paths, "reflectors.csv: forward=x, left=y")
+    paths = files("t,x,y,nr", lambda t, p: f"{t:.2f},{p.real:.4f},{p.imag:.4f},7")
+    with pytest.raises(InputError, match="not recognised"):  # nr may be the id
+        understand(paths, ["reflectors.csv: forward=x, left=y"])
+
+
+def test_rows_in_order_of_bearings_are_not_taken_for_bearings_in_a_fixed_frame(files):
+    paths = files("t,landmark,bearing", lambda t, p: f"{t:.2f},class:post,{np.angle(p):.5f}")
+    assert senses_of(imported(paths)) == UNDECIDED
