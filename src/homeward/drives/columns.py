@@ -172,8 +172,6 @@ EXCLUDED["landmark"] = UNUSED | NO_LANDMARK
 """Words in names of columns that have no such role; `UNUSED` for others."""
 _OF_PIXELS = ("pixel", "px", "image")
 """Words in names of columns of pixels."""
-MIN_NUMBERED = 3
-"""Number of columns that may be those of landmarks, of which a pose needs as many."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
 
@@ -411,7 +409,12 @@ def may_be(role: str, name: str) -> bool:
     mine, words = ROLES[role][0], set(words_in(name))
     is_of_other = any(unit_in(name, quantity) for quantity in UNITS) and not unit_in(name, mine)
     is_of_other |= mine != "pixel" and not words.isdisjoint(_OF_PIXELS)
-    return not is_of_other and (matches(name, role) or not _scores(name))
+    return not is_of_other and (matches(name, role) or not has_role(name))
+
+
+def has_role(name: str) -> bool:
+    """Whether a name contains a word for any role."""
+    return bool(_scores(name))
 
 
 def ending(path: str, role: str) -> str | None:
@@ -450,60 +453,3 @@ def _scores(name: str) -> dict[str, tuple[float, int]]:
         for role, matching in found.items()
         if not EXCLUDED.get(role, UNUSED).intersection(words)
     }
-
-
-BEARING_WORDS = frozenset(ROLES["bearing"][1].split())
-
-
-def landmark_columns(names: Sequence[str], ids: Collection[str]) -> dict[str, str]:
-    """Return the columns of landmarks by id; empty for a table of another layout.
-
-    The name of such a column is one of the known `ids`, or equals one except for its number, or
-    contains a word for a bearing, as ``bearing_L1``.
-    """
-    shapes = {shape for shape in map(_shape, ids) if "#" in shape}
-    found: dict[str, str] = {}
-    for name in names:
-        landmark, is_bearing = landmark_in(name)
-        is_known = landmark in ids or _shape(landmark) in shapes
-        if landmark and (is_bearing or is_known) and landmark not in found:
-            found[landmark] = name
-    return found if len(found) > 1 else {}
-
-
-def numbered_columns(names: Sequence[str]) -> dict[str, str]:
-    """Return the columns that differ only in a number and have no role, as ``L1``, ``L2``, ``L3``.
-
-    By name; empty where there are fewer than `MIN_NUMBERED`, or two such sets.
-    """
-    by_shape: dict[str, list[str]] = {}
-    for name in names:
-        if not _scores(name):
-            by_shape.setdefault(_shape(name), []).append(name)
-    sets = [same for shape, same in by_shape.items() if "#" in shape and len(same) >= MIN_NUMBERED]
-    return {landmark_in(name)[0]: name for name in sets[0]} if len(sets) == 1 else {}
-
-
-def unit_of(columns: Sequence[str]) -> str | None:
-    """Return the unit in the names of columns; None without one."""
-    units = {unit_in(name, "angle") for name in columns}
-    if len(units) > 1:
-        several = ", ".join(sorted(map(str, units)))
-        raise InputError(f"columns of landmarks have different units: {several}", advice="use one")
-    return units.pop()
-
-
-def _shape(landmark: str) -> str:
-    return re.sub(r"\d+", "#", landmark)
-
-
-def landmark_in(name: str) -> tuple[str, bool]:
-    """Return a name without unit and words for a bearing, and whether it had such words."""
-    plain = re.sub(r"\s*[\[(<].*", "", name).strip()
-    if unit_in(name, "angle") is not None:
-        plain = re.sub(r"[_\s.]+(deg|degrees?|rad|radians|mrad)$", "", plain, flags=re.IGNORECASE)
-    words = words_in(plain)
-    has = [word for word in words if word in BEARING_WORDS]
-    for word in has:
-        plain = re.sub(rf"[_\s.]*{word}[_\s.]*", "", plain, count=1, flags=re.IGNORECASE)
-    return plain, bool(has)

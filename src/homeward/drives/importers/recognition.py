@@ -15,14 +15,10 @@ from homeward.drives.columns import (
     OPTIONAL,
     Column,
     assigned,
-    landmark_columns,
-    landmark_in,
     matches,
     may_be,
-    numbered_columns,
     recognised,
     times_in,
-    unit_of,
     words_in,
 )
 from homeward.drives.importers.parts import Part
@@ -41,6 +37,12 @@ from homeward.drives.importers.positions import (
     with_axes,
 )
 from homeward.drives.importers.sheet import Sheet
+from homeward.drives.importers.wide import (
+    landmark_columns,
+    landmark_in,
+    numbered_columns,
+    unit_of,
+)
 from homeward.drives.wheels import SIDES
 from homeward.errors import InputError
 

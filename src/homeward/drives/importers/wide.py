@@ -2,16 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from homeward.drives.columns import ROLES, has_role, unit_in, words_in
 from homeward.errors import InputError
 from homeward.io.table import Table
 
 MIN_JUMPS, JUMP_QUANTILE = 20, 0.9
 """Minimum number of changes to or from a value that marks landmarks out of view; most of them
 exceed this quantile of the other changes."""
+MIN_NUMBERED = 3
+"""Number of columns that may be those of landmarks, of which a pose needs as many."""
+BEARING_WORDS = frozenset(ROLES["bearing"][1].split())
+
+
+def landmark_columns(names: Sequence[str], ids: Collection[str]) -> dict[str, str]:
+    """Return the columns of landmarks by id; empty for a table of another layout.
+
+    The name of such a column is one of the known `ids`, or equals one except for its number, or
+    contains a word for a bearing, as ``bearing_L1``.
+    """
+    shapes = {shape for shape in map(_shape, ids) if "#" in shape}
+    found: dict[str, str] = {}
+    for name in names:
+        landmark, is_bearing = landmark_in(name)
+        is_known = landmark in ids or _shape(landmark) in shapes
+        if landmark and (is_bearing or is_known) and landmark not in found:
+            found[landmark] = name
+    return found if len(found) > 1 else {}
+
+
+def numbered_columns(names: Sequence[str]) -> dict[str, str]:
+    """Return the columns that differ only in a number and have no role, as ``L1``, ``L2``, ``L3``.
+
+    By name; empty where there are fewer than `MIN_NUMBERED`, or two such sets.
+    """
+    by_shape: dict[str, list[str]] = {}
+    for name in names:
+        if not has_role(name):
+            by_shape.setdefault(_shape(name), []).append(name)
+    sets = [same for shape, same in by_shape.items() if "#" in shape and len(same) >= MIN_NUMBERED]
+    return {landmark_in(name)[0]: name for name in sets[0]} if len(sets) == 1 else {}
+
+
+def unit_of(columns: Sequence[str]) -> str | None:
+    """Return the unit in the names of columns; None without one."""
+    units = {unit_in(name, "angle") for name in columns}
+    if len(units) > 1:
+        several = ", ".join(sorted(map(str, units)))
+        raise InputError(f"columns of landmarks have different units: {several}", advice="use one")
+    return units.pop()
+
+
+def _shape(landmark: str) -> str:
+    return re.sub(r"\d+", "#", landmark)
+
+
+def landmark_in(name: str) -> tuple[str, bool]:
+    """Return a name without unit and words for a bearing, and whether it had such words."""
+    plain = re.sub(r"\s*[\[(<].*", "", name).strip()
+    if unit_in(name, "angle") is not None:
+        plain = re.sub(r"[_\s.]+(deg|degrees?|rad|radians|mrad)$", "", plain, flags=re.IGNORECASE)
+    words = words_in(plain)
+    has = [word for word in words if word in BEARING_WORDS]
+    for word in has:
+        plain = re.sub(rf"[_\s.]*{word}[_\s.]*", "", plain, count=1, flags=re.IGNORECASE)
+    return plain, bool(has)
 
 
 def long(raw: Table, landmarks: Sequence[str]) -> Table:
