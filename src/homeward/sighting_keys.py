@@ -20,6 +20,11 @@ def is_unlabelled(key: str) -> bool:
     return not key or key.startswith((CLASS, TRACK))
 
 
+def is_followed(key: str) -> bool:
+    """Return whether a key is that of one landmark in all frames: an id or a track number."""
+    return bool(key) and not key.startswith(CLASS)
+
+
 def class_of(key: str) -> str:
     """Return the class of a sighting without an id; empty if it has none."""
     return key[len(CLASS) :].rpartition(NUMBER)[0] if key.startswith(CLASS) else ""
@@ -38,7 +43,7 @@ def numbered(texts: Iterable[str]) -> list[str]:
     counts: Counter[str] = Counter()
     keys = []
     for text in texts:
-        if not text or text.startswith(CLASS):
+        if not is_followed(text):
             kind = text[len(CLASS) :].partition(NUMBER)[0]
             counts[kind] += 1
             text = f"{CLASS}{kind}{NUMBER}{counts[kind]}"

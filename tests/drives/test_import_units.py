@@ -122,6 +122,17 @@ def test_columns_that_differ_in_a_number_are_landmarks_without_a_home_table(tmp_
     assert_same(imported(wide(tmp_path, LANDMARKS, ",temperature")))
 
 
+@pytest.mark.parametrize("form", ["{}_gon", "{} [gon]", "bearing_{}_gon"])
+def test_landmarks_of_columns_are_named_without_the_unit(tmp_path, form):
+    odometry, seen = wide(tmp_path, [form.format(name) for name in LANDMARKS])
+    head, *rows = seen.read_text().splitlines()
+    for number, row in enumerate(rows):
+        t, *cells = row.split(",")
+        rows[number] = ",".join([t, *(f"{float(cell) * 200 / math.pi}" for cell in cells)])
+    seen.write_text("\n".join([head, *rows]))
+    assert_same(imported([odometry, seen]))
+
+
 def test_two_sets_of_numbered_columns_are_not_chosen_from(tmp_path):
     paths = wide(tmp_path, ["L1", "L2", "L3", "M1"], ",M2,M3")
     with pytest.raises(InputError, match="not recognised"):

@@ -22,7 +22,7 @@ from homeward.drives.drive import Drive, Odometry
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.odometry.history import dead_reckoning_unwrapped
-from homeward.sighting_keys import TRACK, is_unlabelled
+from homeward.sighting_keys import is_followed
 
 DEG = math.degrees(1.0)
 ABSURD = 1e6
@@ -156,8 +156,7 @@ def compare_senses(
         return UNDECIDED
     usable = (t >= odometry.t[0]) & (t <= odometry.t[-1]) & np.isfinite(bearing)
     names, track = np.unique(landmark.astype(str), return_inverse=True)
-    has_id = [not is_unlabelled(name) or name.startswith(TRACK) for name in names.tolist()]
-    usable &= np.array(has_id, bool)[track]
+    usable &= np.array([is_followed(name) for name in names.tolist()], bool)[track]
     t, track, bearing = t[usable], track[usable], bearing[usable]
     if camera is not None:
         number = np.unique(camera[usable].astype(str), return_inverse=True)[1]

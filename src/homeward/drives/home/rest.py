@@ -19,7 +19,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.statistics import MAD_TO_SIGMA
 from homeward.io.naming import listing, natural
 from homeward.io.table import quoted
-from homeward.sighting_keys import CLASS, numbered, without_number
+from homeward.sighting_keys import is_followed, numbered, without_number
 
 MAX_DEVIATION = 5.0
 """Maximum deviation of a bearing that agrees [sigma]; 1 of 1.7 million correct ones exceeds it."""
@@ -40,17 +40,16 @@ def rest_directions(seen: Sightings) -> tuple[dict[str, HomeBearing], dict[str, 
     A landmark with an id has the camera that sees it most; one without has a bearing in each.
     """
     label = np.array([without_number(str(key)) for key in seen.landmark], object)
-    has_id = np.array([bool(text) and not text.startswith(CLASS) for text in label], bool)
+    has_id = np.array([is_followed(text) for text in label], bool)
     frame = np.cumsum(np.isin(np.arange(seen.t.size), seen.begins)) - 1
     found, remarks = _with_ids(seen.rows(has_id))
     scattered = 0
     for text, camera in dict.fromkeys(zip(label[~has_id], seen.camera[~has_id], strict=True)):
-        frames, index = np.unique(np.where(seen.camera == camera, frame, -1), return_inverse=True)
-        mine = (seen.camera == camera) & (label == text)
-        first = int(frames[0] < 0)  # of other cameras
-        directions, unused = _without_ids(
-            seen.bearing[mine], index[mine] - first, frames.size - first
-        )
+        by_camera = seen.camera == camera
+        frames, index = np.unique(frame[by_camera], return_inverse=True)
+        mine = label[by_camera] == text
+        bearing = seen.bearing[by_camera][mine]
+        directions, unused = _without_ids(bearing, index[mine], frames.size)
         found += [(text, direction, camera) for direction in directions]
         scattered += unused
     if scattered:
@@ -65,9 +64,9 @@ def _with_ids(seen: Sightings) -> tuple[list[tuple[str, float, str]], dict[str, 
     cameras, bearings, middles = list[str](), list[np.ndarray](), list[float]()
     names = list(dict.fromkeys(seen.landmark.tolist()))
     for name in names:
-        own = seen.rows(seen.landmark == name)
-        cameras.append(Counter(own.camera.tolist()).most_common(1)[0][0])
-        bearings.append(own.bearing[own.camera == cameras[-1]])
+        rows = seen.rows(seen.landmark == name)
+        cameras.append(Counter(rows.camera.tolist()).most_common(1)[0][0])
+        bearings.append(rows.bearing[rows.camera == cameras[-1]])
         middles.append(_median_direction(bearings[-1]))
     errors = [np.abs(wrap(b - m)) for b, m in zip(bearings, middles, strict=True)]
     usual = float(np.median(np.concatenate(errors))) if errors else 0.0

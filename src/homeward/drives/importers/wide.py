@@ -64,8 +64,8 @@ def _shape(landmark: str) -> str:
 def landmark_in(name: str) -> tuple[str, bool]:
     """Return a name without unit and words for a bearing, and whether it had such words."""
     plain = re.sub(r"\s*[\[(<].*", "", name).strip()
-    if unit_in(name, "angle") is not None:
-        plain = re.sub(r"[_\s.]+(deg|degrees?|rad|radians|mrad)$", "", plain, flags=re.IGNORECASE)
+    if unit_in(plain, "angle") is not None:
+        plain = re.sub(r"[_\s.]+[^_\s.]+$", "", plain)
     words = words_in(plain)
     has = [word for word in words if word in BEARING_WORDS]
     for word in has:
@@ -86,9 +86,10 @@ def long(raw: Table, landmarks: Sequence[str]) -> Table:
         problem, number = "two bearings of exactly 0", int(raw.row[twice[0]])
         raise InputError(problem, raw.file, number, advice=advice)
     if t is not None and (filler := _filler(values)) is not None:
-        cells, number = values == filler, int(raw.row[np.argmax((values == filler).any(axis=1))])
+        filled = values == filler
+        number = int(raw.row[filled.any(axis=1).argmax()])
         problem = (
-            f"{cells.any(axis=0).sum()} columns jump to exactly {filler:g}, in {cells.sum():,} "
+            f"{filled.any(axis=0).sum()} columns jump to exactly {filler:g}, in {filled.sum():,} "
             "cells: it is no bearing, but marks landmarks out of view"
         )
         raise InputError(problem, raw.file, number, advice=advice)
