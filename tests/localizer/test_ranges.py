@@ -162,6 +162,7 @@ def test_nothing_depends_on_ranges_of_infinite_standard_deviation():
 
 def test_a_standard_deviation_in_percent_is_refused():
     assert Sensor(range_sigma=math.inf).range_sigma == math.inf
+    assert validated(Sensor, {"range_sigma": ".inf"}).range_sigma == math.inf
     with pytest.raises(InputError, match="at most 1"):
         validated(Sensor, {"range_sigma": 10.0})
 

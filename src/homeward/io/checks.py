@@ -26,6 +26,7 @@ Check = Callable[[Any, bool], Any]
 is strict: a text or a boolean is no number."""
 Schema = dict[str, Any]
 _TRUE, _FALSE = ({"true", "yes", "on", "t", "y", "1"}, {"false", "no", "off", "f", "n", "0"})
+_YAML_INFINITY = re.compile(r"\s*([+-]?)\.inf\s*", re.IGNORECASE)
 _WHOLE = re.compile(r"\s*[+-]?\d+\.0*\s*")
 
 
@@ -290,6 +291,9 @@ def _float(value: Any, strict: bool) -> float:
     if isinstance(value, float):
         return value
     if not isinstance(value, (bool, complex)) and not (strict and not isinstance(value, int)):
+        if isinstance(value, str):
+            infinite = _YAML_INFINITY.fullmatch(value)
+            value = value if infinite is None else f"{infinite[1]}inf"
         with suppress(TypeError, ValueError, OverflowError):
             return float(value)
     refuse("must be a number", value)
