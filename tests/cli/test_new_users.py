@@ -75,6 +75,12 @@ def test_info_prints_a_topics_file_to_complete_where_a_run_needs_one():
         LogSettings, draft | {"bearings": [row | {"camera": "/info"} for row in draft["bearings"]]}
     )
     assert draft_of([motion, topic("/scan", "sensor_msgs/msg/LaserScan")], None) == ""
+    others = ("/tf_static", "tf2_msgs/msg/TFMessage"), ("/m", "visualization_msgs/msg/MarkerArray")
+    draft = draft_of(
+        [topic("/joints", "sensor_msgs/msg/JointState"), *(topic(*o) for o in others)], None
+    )
+    assert "wheel_radius: METRES" in draft
+    assert parse_yaml(draft, None, typed=True)["bearings"] == [{"topic": "/m"}]
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,9 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
     assert rig.wrong_share() <= 0.05
 
 
-@pytest.mark.parametrize(("lag", "words"), [(0.5, "s after its stamps"), (0.1, None)])
+@pytest.mark.parametrize(
+    ("lag", "words"), [(0.5, "s after its stamps"), (0.25, "s before its stamp"), (0.1, None)]
+)
 def test_a_lag_is_estimated_and_reported_where_it_matters(lag, words):
     rig = Rig(ring(10))
     feel = rig.localizer.odometry

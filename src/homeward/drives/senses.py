@@ -95,13 +95,13 @@ _TO_RAD, _BOTH = "convert them to rad/s", "convert both from degrees to radians,
 REMEDIES = {
     Sense.REVERSED: (
         "bearings and yaw rates rotate in opposite senses",
-        "make both anti-clockwise",
+        "make both anti-clockwise, or give the roll of a camera that is mounted upside down",
     ),
     Sense.FIXED_FRAME: (
         "the bearings do not turn with the robot: they are in a fixed frame, as of a compass or "
         "with the heading added, fixed anchors measured them, the motion is not planar, or a unit "
         "is wrong",
-        "give bearings from the axis of a camera on the robot",
+        "give bearings from the axis of a camera on the robot, and its roll if it is on its side",
     ),
     Sense.RATE_TOO_LARGE: (_LARGE, _TO_RAD),
     Sense.RATE_TOO_LARGE_REVERSED: (_LARGE, f"{_TO_RAD}, and change their sign"),

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from cli.commands import call, done
+from cli.commands import call, done, refused
 from drives.ros.build import EPOCH, SUFFIXES, point, pose, stamps
 from drives.ros.rig import NANO, bearings_message
 from rosbags.typesys import get_types_from_msg
@@ -185,6 +185,23 @@ def test_detections_by_their_own_id_or_their_likeliest_class(made):
     assert drive.sightings.landmark.tolist() == ["chair 1", "door"]
     assert drive.sightings.bearing.tolist() == pytest.approx([-math.pi / 4, 0.0])
     assert drive.remarks == {"sightings without an id, left out": 1}
+
+
+def test_tags_without_corners_are_named_in_the_refusal(made, tmp_path):
+    def fill(log):
+        for t in stamps(3):
+            message = tags(log, t, {7: 820.0})
+            zero = log.make("apriltag_msgs/msg/Point", x=0.0, y=0.0)
+            message.detections[0].corners = [zero] * 4
+            log.write("/tags", t, message)
+            log.write("/camera_info", t, camera_info(log, t))
+
+    made(fill)
+    words = refused(call("run", tmp_path / "log.mcap", "--home", "at:0.5"))
+    assert "no sightings of landmarks in it" in words
+    assert words.endswith(
+        "3 tags whose four corners are one point, left out: their driver does not report corners"
+    )
 
 
 def test_corners_as_eight_numbers(made):

@@ -91,6 +91,16 @@ def test_clocks_that_cannot_be_are_refused_with_what_helps(made, tmp_path):
         assert made(fill, "clock: receive\n").sightings.t.size
 
 
+def test_a_topic_with_stamps_seconds_older_than_those_of_the_odometry_is_noted(made):
+    def fill(log, delay):
+        for t in stamps(9):
+            log.write("/b", t, bearings_message(log, t - round(delay * SECOND), ["a"], [0.5]))
+
+    (remark,) = (r for r in made(lambda log: fill(log, 3.0)).remarks if "reached" in r)
+    assert "/b reached the recorder 3.0 s after their stamps, but those of /odom 0.0 s" in remark
+    assert not any("reached" in r for r in made(lambda log: fill(log, 0.5)).remarks)
+
+
 def test_messages_slightly_out_of_order_are_put_in_order(made):
     def fill(log):
         t = stamps(10)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from drives.ros.build import point, stamps, transforms
+from drives.ros.build import point, pose, stamps, transforms
 from drives.ros.rig import bearings_message
 from scipy.spatial.transform import Rotation
 
@@ -70,11 +70,38 @@ def test_a_tilt_is_told_to_a_camera_and_refused_where_bearings_come_without_one(
     for kind in (TAGS, POSE_ARRAY):
         _, topic = seen(much, kind=kind)
         assert topic.tilt == pytest.approx({"pitch": 0.4, "roll": 0.01})
-    with pytest.raises(InputError, match=r"tilted by 85.9 deg"):  # it looks at the floor
-        seen(tree(told("base_link", "camera", turn(0.0, 1.5))), kind=TAGS)
     for upside_down in (turn(0.3, 0.0, math.pi), turn(0.0, LEVEL + 0.01)):
         with pytest.raises(InputError, match="tilted"):
             seen(tree(told("base_link", "camera", upside_down)), kind=BEARINGS)
+
+
+@pytest.mark.parametrize(
+    "eye", [turn(0.3, 0.1, math.pi), turn(0.3, 0.0, -math.pi / 2), turn(0.0, -1.5)]
+)
+def test_a_camera_upside_down_on_its_side_or_to_the_ceiling_gives_level_bearings(made, eye):
+    """The positions, seen in the axes of the camera, are ahead, to the left and above."""
+    ahead_left_up = np.array([[3.0, 1.0, 0.5], [2.0, -1.5, 0.8]])
+
+    def fill(log):
+        for t in stamps(3):
+            poses = [pose(log, *p[:2], z=p[2]) for p in ahead_left_up @ eye]
+            log.write("/b", t, log.make(POSE_ARRAY, header=log.header(t, "camera"), poses=poses))
+        log.write("/tf_static", t, static(log, t, eye, (0.2, 0.0)))
+
+    drive = made(fill, suffix=".mcap")
+    yaw = drive.settings.sensor.yaw
+    expected = np.arctan2(ahead_left_up[:, 1], ahead_left_up[:, 0])
+    assert np.asarray(drive.sightings.bearing[:2]) + yaw == pytest.approx(expected)
+    assert drive.sightings.range[:2] == pytest.approx(np.hypot(*ahead_left_up[:, :2].T))
+
+
+def test_the_base_frame_of_a_robot_with_a_prefix_is_found():
+    known = tree(
+        told("robot1/odom", "robot1/base_link"),
+        told("robot1/base_link", "robot1/camera", shift=(0.3, 0.0, 0.0)),
+    )
+    assert seen(known, "robot1/camera")[0].pose == pytest.approx((0.3, 0.0, 0.0))
+    assert seen(known, "robot1/camera", base="robot2/base_link") is None
 
 
 def test_what_is_no_tree_is_refused_and_what_is_not_tied_yet_is_waited_for():

@@ -23,7 +23,7 @@ Pixels = tuple[np.ndarray, np.ndarray]
 """Columns and rows, also fractional [px]."""
 Directions = tuple[np.ndarray, np.ndarray]
 """Azimuths and elevations [rad]."""
-Tilt = Annotated[float, Field(ge=-math.pi / 3, le=math.pi / 3)]
+Tilt = Annotated[float, Field(ge=-math.pi, le=math.pi)]
 
 
 class Camera(Strict):

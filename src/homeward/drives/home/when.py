@@ -35,10 +35,11 @@ def with_home(
     """Return a drive with home bearings from its own sightings, which replace any that it has.
 
     `on_progress` receives the fraction done, in [0, 1], while the drive is mapped. `InputError`
-    where the robot moved at that time, or had no sightings; see `spin`.
+    where the robot moved at that time, or had no sightings; see `spin`. A drive without any
+    sightings stays as it is.
     """
     times = when.times
-    if times is None:
+    if times is None or not drive.sightings.t.size:  # refused by what needs sightings
         return drive
     first, last = time_in(drive, times[0]), drive.span[0] + times[1]
     if drive.settings.home_sensor is not None:

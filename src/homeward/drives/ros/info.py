@@ -117,7 +117,7 @@ def log_info(
         *_tried(known, plan, topics, on_progress),
     )
     following = _next(given, plan, topics, known, remarks)
-    draft = "" if plan.bearings else draft_of(known.topics, plan)
+    draft = "" if plan.bearings and plan.odometry else draft_of(known.topics, plan)
     if not (plan.bearings or draft or unread(known)) and following == _with_topics(given):
         remarks, following = (*remarks, NO_LANDMARKS), ""
     return LogInfo(
@@ -293,7 +293,7 @@ def _candidates(known: TopicSurvey) -> Iterator[str]:
             continue
         if topic.type == LASER_SCAN:
             yield f"{topic.name}: {NO_IDS_IN_SCAN}; {OTHER_THAN_SCAN}."
-        elif words := use_of(topic.type):
+        elif words := use_of(topic)[0]:
             first = known.kept[topic.name]
             try:
                 Decoder().decode(first.channel, first.data)

@@ -181,7 +181,7 @@ class _Reading:
             settings=self._clock.in_settings(self._settings),
             truth=self._truth(),
             tilt=self._tilt(),
-            remarks=self._known.log.cut_short | dict(self._remarks),
+            remarks=self._known.log.cut_short | self._clock.remarks | dict(self._remarks),
         )
         drive, home = with_calibration(found, robot), self._plan.home
         return drive if home is None else with_home(drive, home, on_progress)

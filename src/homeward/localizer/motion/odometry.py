@@ -93,11 +93,11 @@ def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
     lag = float(calibration[DELAY] + calibration[TIME_CONSTANT])
     if abs(lag) < NOTABLE_LAG_S:
         return ()
-    way = "after" if lag > 0 else "before"
+    way, other = ("after", "before") if lag > 0 else ("before", "after")
     return (
-        f"Odometry acts {abs(lag):.2f} s {way} its stamps, compared with the bearings. "
-        f"If it is the bearings that are stamped wrong, add `bearings_late: {lag:.2f}` to "
-        "drive.yaml; else synchronise the clocks.",
+        f"Odometry acts {abs(lag):.2f} s {way} its stamps, compared with the bearings. If it is "
+        f"the bearings that are stamped wrong, each pose is that of {abs(lag):.2f} s {other} its "
+        f"stamp: set `bearings_late: {lag:.2f}` in drive.yaml; else synchronise the clocks.",
     )
 
 

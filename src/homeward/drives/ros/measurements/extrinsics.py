@@ -24,8 +24,6 @@ MAX_CHANGE = 1e-3
 LEVEL = 0.05
 """Maximum tilt of a camera for bearings without positions, which assume a level camera [rad]. The
 bearing of a landmark 10 deg above or below then has an error of up to 0.5 deg."""
-MAX_TILT = math.pi / 3
-"""Maximum tilt that is corrected, as in `Camera` [rad]."""
 BODY_IN_OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Axes of a camera's body frame (x ahead, y left, z up) in its optical one (z ahead, x right)."""
 
@@ -84,8 +82,13 @@ class Transforms:
         return frame.strip("/") in self._parents
 
     def find(self, base: str, frame: str) -> Placed | None:
-        """Return the pose of a frame in the base frame; None while no transforms connect them."""
-        here, there = self._above(frame), self._above(base)
+        """Return the pose of a frame in the base frame; None while no transforms connect them.
+
+        A frame above it with a prefix, as `robot1/base_link`, counts where the base has none.
+        """
+        here = self._above(frame)
+        base = next((above for above in here if above.endswith(f"/{base.strip('/')}")), base)
+        there = self._above(base)
         for above, place in here.items():
             if above in there:
                 path = [*here][: [*here].index(above)] + [*there][: [*there].index(above)]
@@ -119,7 +122,7 @@ def mount(
     """Return camera extrinsics from /tf_static, and the settings of bearings with the tilt.
 
     None while no transforms connect the two `frames`. `kind` is the message type of the
-    bearings. `InputError` where the camera is tilted more than bearings of that type allow.
+    bearings. `InputError` where they are plain bearings, and the camera is not level.
     """
     assert frames.camera is not None
     place = transforms.find(frames.base, frames.camera)
@@ -133,14 +136,13 @@ def mount(
     roll = math.atan2(turn[2, 1], turn[2, 2])
     found = Mount(x=float(shift[0]), y=float(shift[1]), yaw=yaw)
     tilt = math.acos(np.clip(turn[2, 2], -1.0, 1.0))
-    has_bearings = form_of(kind, given) == "bearing"
-    limit = LEVEL if has_bearings else MAX_TILT
-    if tilt > limit:
-        raise InputError(
-            f"{frames.camera} is tilted by {math.degrees(tilt):.1f} deg in {frames.base}, but "
-            f"{kind} allows at most {math.degrees(limit):.1f} deg"
-        )
-    if has_bearings:
+    if form_of(kind, given) == "bearing":
+        if tilt > LEVEL:
+            raise InputError(
+                f"{frames.camera} is tilted by {math.degrees(tilt):.1f} deg in {frames.base}, but "
+                f"{kind} allows at most {math.degrees(LEVEL):.1f} deg",
+                advice="use a topic with pixels or positions, whose tilt is corrected",
+            )
         return found, given
     angles = {"roll": roll, "pitch": pitch}
     return found, validated(BearingsTopic, given.model_dump(exclude_none=True) | angles)

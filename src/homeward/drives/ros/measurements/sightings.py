@@ -214,6 +214,7 @@ def _ahead_left_up(point: Any, axes: str) -> tuple[float, float, float]:
 NOT_DECODED = 255
 """Id of a tag that ar_track_alvar found but did not decode."""
 NO_ID = "sightings without an id, left out"
+NO_CORNERS = "tags whose four corners are one point, left out: their driver does not report corners"
 BIT_ERRORS = "tags decoded with bit errors, left out"
 DUPLICATE = "sightings of a tag that appears twice in one image, left out"
 NOT_FINITE = (
@@ -283,6 +284,8 @@ class SightingRows:
                 self._remarks.count(NOT_FINITE)
             elif seen.errors:
                 self._remarks.count(BIT_ERRORS)
+            elif has_corners and len(set(seen.values)) <= 2:
+                self._remarks.count(NO_CORNERS)
             elif has_corners and counts[seen.landmark] > 1:
                 self._remarks.count(DUPLICATE)
             elif not is_identifier(name):

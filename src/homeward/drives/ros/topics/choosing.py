@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable
 
 from homeward.drives.ros.kinds import BEARINGS, OUR_HOME, OUR_TRUTH, POSE
+from homeward.drives.ros.measurements.extrinsics import TF_STATIC
 from homeward.drives.ros.presets import (
     ACKERMANN,
     ALL_SIGHTINGS,
@@ -43,6 +44,7 @@ NO_IDS_IN_SCAN = (
 )
 OTHER_THAN_SCAN = "record the output of a node that recognises each reflector"
 
+MARKERS = "visualization_msgs/msg/MarkerArray"
 _BEARINGS = "- {{topic: {}}}"
 USES: tuple[tuple[tuple[str, ...], str, str], ...] = (
     ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)", "odometry: {{topic: {}}}"),
@@ -74,13 +76,16 @@ USES: tuple[tuple[tuple[str, ...], str, str], ...] = (
         '- {{topic: {}, frames: "tag36h11:*"}}',
     ),
     (tuple(SIGHTINGS), "bearings", _BEARINGS),
+    ((MARKERS,), "bearings, if its markers are landmarks in the frame of the camera", _BEARINGS),
 )
 """Message types, their possible uses, and their entry in a topics file; the first match counts."""
 
 
-def use_of(kind: str) -> str:
-    """Return the possible use of a message type; empty for one that is not read."""
-    return next((words for types, words, _ in USES if kind in types), "")
+def use_of(topic: Topic) -> tuple[str, str]:
+    """Return the possible use of a topic and its entry in a topics file; empty if it has none."""
+    if topic.name == TF_STATIC or not topic.count:
+        return "", ""
+    return next(((words, form) for types, words, form in USES if topic.type in types), ("", ""))
 
 
 def draft_of(topics: Iterable[Topic], plan: LogSettings | None) -> str:
@@ -90,7 +95,7 @@ def draft_of(topics: Iterable[Topic], plan: LogSettings | None) -> str:
     """
     motions, bearings = list[str](), list[str]()
     for topic in topics:
-        form = next((form for kinds, _, form in USES if topic.type in kinds and topic.count), "")
+        _, form = use_of(topic)
         (bearings if form.startswith("-") else motions).append(form.format(topic.name))
     if plan is not None and plan.odometry is not None:
         motions = [f"odometry: {{topic: {plan.odometry.topic}}}"]
@@ -243,7 +248,7 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
     named.append(("tilt", plan.tilt, (IMU, NAV_ODOMETRY)))
     for what, name, suitable in named:
         if name is not None and (kind := survey.topic(name).type) not in suitable:
-            use = use_of(kind)
+            use, _ = use_of(survey.topic(name))
             problem = f"read as {use}" if use else "a type that is not read yet"
             advice = "name a topic of another type"
             if what == "bearings":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from array import array
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -233,6 +233,12 @@ OTHER_CLOCKS = (
 )
 
 
+OTHER_DELAY = (
+    "messages of {} reached the recorder {:.1f} s after their stamps, but those of {} {:.1f} s: "
+    "use clock: receive in a topics file if their headers have different clocks"
+)
+
+
 class MessageTimes:
     """Converter of the stamps of messages to times [s] of the drive.
 
@@ -249,11 +255,14 @@ class MessageTimes:
         topics = {name: known.topic(name) for name in names}
         self._by_header = plan.clock == "header"
         self._shift = 0
+        self.remarks: dict[str, int] = {}
+        """Topics whose clock seems to differ from that of the odometry."""
         if self._by_header and epoch is None:
             self._shift = _recorder_ahead(topics)
             require_overlap(self._spans(topics), OTHER_CLOCKS)
             for topic in topics.values():
                 _require_steady_clock(topic)
+            self.remarks = _delay_remarks(topics.values())
         stamps = [s for t in topics.values() if (s := self._stamps(t)).size]
         merged = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
         self._epoch = epoch_of(merged) if epoch is None else epoch
@@ -314,6 +323,16 @@ def _recorder_ahead(topics: dict[str, Topic]) -> int:
             )
     offsets = [t.clock.median for t in topics.values() if t.clock is not None]
     return round(float(np.median(offsets)) * NANO) if offsets else 0
+
+
+def _delay_remarks(topics: Iterable[Topic]) -> dict[str, int]:
+    """Return remarks on topics whose delay from stamp to recorder is not that of the first."""
+    delays = [(t, t.clock.median) for t in topics if t.clock is not None]
+    return {
+        OTHER_DELAY.format(topic.name, delay, delays[0][0].name, delays[0][1]): topic.count
+        for topic, delay in delays
+        if abs(delay - delays[0][1]) > MAX_DELAY_S
+    }
 
 
 def _require_steady_clock(topic: Topic) -> None:
