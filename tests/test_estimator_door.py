@@ -1,6 +1,9 @@
 """What comes in at an estimator's door: real numbers alone, and one thread at a time."""
 
+import copy
+import datetime
 import itertools
+import pickle
 import threading
 
 import numpy as np
@@ -9,6 +12,7 @@ import pytest
 from benchmarks.fuzz import small_drive
 from homeward.errors import InputError
 from homeward.estimator import Status
+from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator
 
 BOTH = pytest.mark.parametrize("name", ["robust", "ekf"])
@@ -51,6 +55,42 @@ def test_what_is_no_real_number_is_told_and_changes_nothing(name):
     for ours, theirs in itertools.pairwise(drive_on(e, [0.2]) for e in (touched, untouched)):
         assert ours.status is theirs.status
         np.testing.assert_array_equal(ours.sigmas, theirs.sigmas)
+
+
+@BOTH
+@pytest.mark.parametrize("t", [datetime.datetime(2026, 1, 2), np.datetime64("2026-01-02T03:04")])
+def test_a_date_as_a_stamp_is_refused_with_the_unit_of_stamps(name, t):
+    with pytest.raises(InputError, match=r"is a datetime.*, not a time \[s\]; count seconds"):
+        estimator_of(name).odometry(t, 0.1, 0.0)
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))]
+)
+def test_a_copy_of_the_localizer_goes_on_alone_and_alike(copied):
+    ours = estimator_of("robust")
+    drive_on(ours, np.arange(0.0, 3.0, 0.1))
+    theirs = copied(ours)
+    assert drive_on(ours, [3.0, 3.1]) != (before := theirs.estimate(2.9))
+    assert theirs.estimate(2.9) == before
+    assert drive_on(theirs, [3.0, 3.1]) == ours.estimate(3.1)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_filter_refuses_to_be_copied_in_one_line(copied):
+    with pytest.raises(InputError, match="ekf cannot be copied or pickled; make another one"):
+        copied(estimator_of("ekf"))
+
+
+def test_bearings_in_degrees_and_stamps_in_another_unit_are_noted():
+    drive = small_drive()
+    home = {name: np.degrees(seen.bearing) for name, seen in drive.home.items()}
+    assert any("convert them to rad" in note for note in Localizer(home).notes)
+    in_ms, in_seconds = (estimator_of("robust") for _ in range(2))
+    drive_on(in_ms, np.arange(0.0, 2000.0, 100.0))
+    drive_on(in_seconds, np.arange(0.0, 2.0, 0.1))
+    assert any("convert its stamps to seconds" in note for note in in_ms.notes)
+    assert not any("convert" in note for note in in_seconds.notes)
 
 
 @BOTH

@@ -11,6 +11,7 @@ import functools
 import inspect
 import math
 import numbers
+import threading
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
@@ -173,8 +174,24 @@ MAX_TIME_S = 1e75
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
+class Turn:
+    """A lock of an object that may be copied or pickled: the copy has a lock of its own."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
+        return Turn, ()
+
+
 def synchronised(method: Method) -> Method:
-    """Decorate a method of an object with a lock ``_turn``: one thread at a time calls it."""
+    """Decorate a method of an object with a `Turn` ``_turn``: one thread at a time calls it."""
 
     @functools.wraps(method)
     def inside(self: Any, *values: Any, **named: Any) -> Any:
@@ -221,6 +238,8 @@ def real(value: Any) -> float:
 
 
 def _time(value: Any) -> float:
+    if hasattr(value, "isoformat") or isinstance(value, np.datetime64):
+        raise InputError(f"t is a {type(value).__name__}, not a time [s]", advice="count seconds")
     t = real(value)
     return t if abs(t) < MAX_TIME_S else math.nan
 

@@ -358,6 +358,13 @@ def test_diagnostics_tell_whether_homing_could_begin():
     assert (stopped.can_home, stopped.cannot_home) == (False, "emergency stop")
 
 
+def test_diagnostics_have_the_notes_of_the_localiser():
+    session = Session()
+    session.receive(SetHome(bearings={"a": 90.0, "b": -45.0, "c": 10.0}), 0.0)
+    list(session.process())
+    assert "3 bearings beyond a full turn" in session.diagnostics(0.0).notes[0]
+
+
 def test_late_repeated_and_swapped_samples_do_no_harm():
     waiting = []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any, Self, cast
 
@@ -13,14 +13,39 @@ import numpy as np
 
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings
+from homeward.errors import InputError, require_kind
 from homeward.estimator import ByValue
 from homeward.geometry.angles import interpolate, wrap
 from homeward.geometry.frames import Pose, between
 from homeward.odometry.validity import validities
+from homeward.sighting_keys import keyed
 
 
 class Columns:
-    """A table whose fields are columns of the same length."""
+    """A table whose fields are columns of the same length; lists and series become arrays.
+
+    `InputError` names a column of another length or without numbers.
+    """
+
+    def __post_init__(self) -> None:
+        num = -1
+        for column in fields(cast(Any, self)):
+            name, given = column.name, getattr(self, column.name)
+            values = np.asarray(given)
+            if name not in ("landmark", "camera") and values.dtype.kind not in "fiub":
+                if values.dtype.kind == "M":
+                    advice = "count seconds"
+                    raise InputError("dates instead of times [s]", part=name, advice=advice)
+                try:
+                    values = values.astype(float)
+                except (TypeError, ValueError) as error:
+                    raise InputError("not a list of numbers", part=name) from error
+            if column.default_factory is MISSING or values.size:
+                num = values.size if num < 0 else num
+                if values.shape != (num,):
+                    problem = f"a shape of {values.shape} instead of ({num},)"
+                    raise InputError(problem, part=name)
+            object.__setattr__(self, name, values)
 
     def rows(self, use: np.ndarray) -> Self:
         """Return the rows of a mask (n,) or of indices."""
@@ -60,6 +85,7 @@ class Odometry(Columns):
     """Speed to the left [m/s]."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.t.size != self.vy.size or not self.vy.any():  # no -0
             object.__setattr__(self, "vy", np.zeros(self.t.size))
 
@@ -108,7 +134,7 @@ class Sightings(Columns):
     """Ids (str)."""
     bearing: np.ndarray
     """From the camera's axis [rad], in (-pi, pi]."""
-    sigma: np.ndarray
+    sigma: np.ndarray = field(default_factory=lambda: np.empty(0))
     """[rad]; NaN where not given."""
     range: np.ndarray = field(default_factory=lambda: np.empty(0))
     """[m]; NaN where not given."""
@@ -120,7 +146,8 @@ class Sightings(Columns):
     """Above the horizontal plane of the camera [rad], for `Tilt`; NaN where not given."""
 
     def __post_init__(self) -> None:
-        for name in ("range", "range_sigma", "camera", "elevation"):
+        super().__post_init__()
+        for name in ("sigma", "range", "range_sigma", "camera", "elevation"):
             if self.t.size and not getattr(self, name).size:
                 value = np.array("" if name == "camera" else np.nan, getattr(self, name).dtype)
                 object.__setattr__(self, name, np.broadcast_to(value, self.t.size))
@@ -245,6 +272,23 @@ class Drive:
     """For which the bearings are not corrected yet; None: a level robot."""
     recorded: Drive | None = field(default=None, repr=False, compare=False)
     """The drive before the corrections in its settings were applied; None: there are none."""
+
+    def __post_init__(self) -> None:
+        for name, kind in (
+            ("odometry", Odometry),
+            ("sightings", Sightings),
+            ("settings", DriveSettings),
+        ):
+            require_kind(getattr(self, name), kind, f"it is the {name} of a drive")
+        for name, t in (("odometry", self.odometry.t), ("sightings", self.sightings.t)):
+            if (np.diff(t) < 0).any():
+                raise InputError("times decrease", part=name, advice="sort the rows by time")
+        require_kind(home := keyed(self.home), Mapping, "home has bearings [rad] by landmark id")
+        if not all(isinstance(seen, HomeBearing) for seen in home.values()):
+            known = {
+                n: s if isinstance(s, HomeBearing) else HomeBearing(s) for n, s in home.items()
+            }
+            object.__setattr__(self, "home", known)
 
     def home_bearings(self) -> dict[str, float]:
         """Return beta* of each landmark in the robot's home frame [rad].

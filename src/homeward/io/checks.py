@@ -290,13 +290,15 @@ def _any(value: Any, strict: bool) -> Any:
 def _float(value: Any, strict: bool) -> float:
     if isinstance(value, float):
         return value
-    if not isinstance(value, (bool, complex)) and not (strict and not isinstance(value, int)):
-        if isinstance(value, str):
-            infinite = _YAML_INFINITY.fullmatch(value)
-            value = value if infinite is None else f"{infinite[1]}inf"
+    problem = "must be a number"
+    if not isinstance(value, (bool, complex)):
+        infinite = _YAML_INFINITY.fullmatch(value) if isinstance(value, str) else None
         with suppress(TypeError, ValueError, OverflowError):
-            return float(value)
-    refuse("must be a number", value)
+            number = float(value if infinite is None else f"{infinite[1]}inf")
+            if not strict or isinstance(value, int):
+                return number
+            problem += " without quotes"
+    refuse(problem, value)
 
 
 def _int(value: Any, strict: bool) -> int:

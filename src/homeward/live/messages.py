@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from homeward.drives.landmarks import Surveyed
-from homeward.drives.settings import Mount
+from homeward.drives.settings import Mount, Offset, Turn
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.io.checks import AfterValidator, Field, json_schema
@@ -233,9 +233,9 @@ class SetExtrinsics(Mount):
     """Extrinsics of a camera on the robot; the map is reset, unless it is a new camera."""
 
     type: Literal["mount"] = "mount"
-    x: Bounded = 0.0
-    y: Bounded = 0.0
-    yaw: Bounded = 0.0
+    x: Offset = 0.0
+    y: Offset = 0.0
+    yaw: Turn = 0.0
     camera: Name | Literal[""] = ""
     """As in `BearingsIn`."""
 
@@ -329,6 +329,8 @@ class Diagnostics(Strict):
     """Reasons why the robot is held."""
     values: dict[str, float] = {}
     """Value of each fault, in the unit of its limit."""
+    notes: tuple[str, ...] = ()
+    """Assumptions and findings of the estimator that the user must read."""
     counts: dict[str, int]
     """Samples not used, by reason."""
     waiting: int

@@ -182,6 +182,7 @@ def _opened(
     file: Path, whole: bool, confirmed: Collection[str] = ()
 ) -> tuple[Localisation, Iterator[str]]:
     """Return the initial localisation of a session (estimator only if `whole`) and its lines."""
+    file = file / SESSION if file.is_dir() else file
     with naming(file, "cannot be read"), file.open(encoding="utf-8") as stream:
         try:
             head = validated(_Head, json.loads(stream.readline(MAX_HEAD)))

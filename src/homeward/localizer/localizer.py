@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-import threading
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -33,6 +32,7 @@ from homeward.estimator import (
     Innovation,
     LandmarkEstimate,
     Status,
+    Turn,
     guarded,
     synchronised,
 )
@@ -112,7 +112,7 @@ class Localizer:
         known: KnownLandmarks | dict[str, Any] | None = None,
         **robot: Unpack[Robot],
     ) -> None:
-        self.counts, self._turn = Counts(), threading.RLock()
+        self.counts, self._turn = Counts(), Turn()
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
         self._cameras = Cameras(self._robot, (seen.camera for seen in self._home.values()))
@@ -124,6 +124,10 @@ class Localizer:
         self._blind: list[tuple[float, float]] = []
         self._clock = Clock()
         self._begin()
+
+    def __copy__(self) -> Localizer:
+        """Return an independent copy, as `copy.deepcopy` does."""
+        return copy.deepcopy(self)
 
     def _begin(self) -> None:
         """Begin without samples and without a map."""
@@ -145,6 +149,7 @@ class Localizer:
         self._reorder = ReorderBuffer()
         self._sign_checks = SignChecks(self._robot)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
+        self._plausibility.count_bearings(seen.bearing for seen in self._home.values())
         self._frozen = FrozenCameras(self._robot)
         self._at_newest: set[tuple[str, float]] = set()
         """Sightings of the newest stamp of bearings."""
@@ -162,6 +167,7 @@ class Localizer:
         self._begin()
 
     @property
+    @synchronised
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and findings about the robot, by their usual effect on the answer."""
         if self.is_convention_wrong:
@@ -270,6 +276,7 @@ class Localizer:
             late = Rejection.LATE_BEARINGS if math.isfinite(t) else Rejection.BAD_BEARING
             self._reject(late, len(sightings))
             return self.estimate(stamp)
+        self._plausibility.count_bearings(sightings.values())
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         if len(usable) < len(sightings):
             self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))

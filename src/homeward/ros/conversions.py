@@ -212,6 +212,7 @@ def diagnostics_out(state: msg.Diagnostics, stamp: Any) -> Any:
     values = {"homing": state.homing, "can_home": state.cannot_home or "yes"}
     values |= {"accurate": "yes" if state.is_accurate else "no"}
     values |= {"advice": state.advice} if state.advice else {}
+    values |= {f"note {k + 1}": note for k, note in enumerate(state.notes)}
     values |= {"waiting": str(state.waiting), "work_ms": f"{state.work_ms:.1f}"}
     status.values = [pair(key=k, value=str(v)) for k, v in (values | state.counts).items()]
     array.header.stamp, array.status = stamp, [status]

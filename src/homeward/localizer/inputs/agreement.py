@@ -10,7 +10,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from homeward.drives.robot import with_camera
@@ -39,7 +39,12 @@ from homeward.localizer.tunables import (
     START_S,
 )
 from homeward.odometry.history import STEADY_S, Reckoned
-from homeward.odometry.validity import GRIP_ACCELERATION, GRIP_TURN_ACCELERATION, MAX_RATE
+from homeward.odometry.validity import (
+    GRIP_ACCELERATION,
+    GRIP_TURN_ACCELERATION,
+    MAX_RATE,
+    MAX_TWIST_VALIDITY_S,
+)
 
 DEAD = (
     "Odometry reported no motion {}, but bearings changed by {:.0f} degrees: the odometry driver "
@@ -55,6 +60,13 @@ IMPLAUSIBLE = (
     "wheeled robot has, or not a number). The motion up to the next twist was treated as unknown, "
     "so the pose is less certain there. Look for encoder resets, counter overflow or damaged "
     "messages."
+)
+BEYOND_A_TURN = (
+    "{} bearings beyond a full turn were wrapped: convert them to rad if they are in degrees."
+)
+RARE = (
+    f"Odometry comes at intervals of more than {MAX_TWIST_VALIDITY_S:g} s, for which its motion is "
+    "unknown: convert its stamps to seconds if they are in another unit."
 )
 
 
@@ -335,7 +347,7 @@ class Plausibility:
 
     Encoders are reset, counters wrap round and messages are damaged. Then one twist is far too
     large, and the pose would move by metres at a small covariance. Such a twist means unknown
-    motion.
+    motion. Stamps and bearings that seem to be in another unit are reported.
     """
 
     def __init__(self) -> None:
@@ -347,6 +359,7 @@ class Plausibility:
         self._changes = tuple(deque[float](maxlen=NUM_CHANGES) for _ in self._received)
         """... and the sizes of the latest changes."""
         self._number, self._first = 0, math.nan
+        self._newest, self._twists, self._rare, self._beyond = math.inf, 0, 0, 0
 
     def accepts(self, t: float, v: float, omega: float, vy: float = 0.0) -> bool:
         """Return whether a twist of stamp `t` [s] is plausible; count it if not.
@@ -355,6 +368,9 @@ class Plausibility:
         and differ from it by the usual noise of the odometry at most `GATE` standard deviations.
         So a single wrong sample is refused, and a real change of speed is accepted soon.
         """
+        self._twists += 1
+        self._rare += t - self._newest > MAX_TWIST_VALIDITY_S
+        self._newest = t
         if self._last is None and math.isfinite(t):
             self._last = (t - START_S, 0.0, 0.0, 0.0)
         twist = v, omega, vy
@@ -374,10 +390,19 @@ class Plausibility:
             self._first = t if math.isnan(self._first) else self._first
         return False
 
+    def count_bearings(self, bearings: Iterable[float]) -> None:
+        """Count bearings [rad] beyond a full turn, which may be degrees."""
+        self._beyond += sum(math.tau < abs(bearing) < math.inf for bearing in bearings)
+
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
-        return (IMPLAUSIBLE.format(self._number, self._first),) if self._number else ()
+        rare = self._twists >= NUM_CHANGES and 2 * self._rare > self._twists
+        return (
+            *((BEYOND_A_TURN.format(self._beyond),) if self._beyond else ()),
+            *((RARE,) if rare else ()),
+            *((IMPLAUSIBLE.format(self._number, self._first),) if self._number else ()),
+        )
 
 
 def _median(changes: deque[float]) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from homeward.errors import InputError
 from homeward.estimator import (
     MIN_AGREEING,
     NO_BEARINGS_S,
@@ -62,6 +63,11 @@ class OnlineFilter:
         self._last_seen = -math.inf
         self._agrees = np.zeros(len(self._ids), dtype=bool)
         self._recent: deque[bool] = deque(maxlen=RECENT)
+
+    def __reduce__(self) -> str:
+        """Refuse to be copied or pickled: compiled code is tied to the arrays of this object."""
+        advice = "make another one, and add the same samples"
+        raise InputError(f"{self.name} cannot be copied or pickled", advice=advice)
 
     @property
     def engine(self) -> Engine:
