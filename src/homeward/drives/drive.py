@@ -22,12 +22,10 @@ from homeward.sighting_keys import keyed
 
 
 class Columns:
-    """A table whose fields are columns of the same length; lists and series become arrays.
+    """A table whose fields are columns of the same length."""
 
-    `InputError` names a column of another length or without numbers.
-    """
-
-    def __post_init__(self) -> None:
+    def _to_arrays(self) -> None:
+        """Convert lists and series; `InputError` for another length or no numbers."""
         num = -1
         for column in fields(cast(Any, self)):
             name, given = column.name, getattr(self, column.name)
@@ -85,7 +83,7 @@ class Odometry(Columns):
     """Speed to the left [m/s]."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        self._to_arrays()
         if self.t.size != self.vy.size or not self.vy.any():  # no -0
             object.__setattr__(self, "vy", np.zeros(self.t.size))
 
@@ -146,7 +144,7 @@ class Sightings(Columns):
     """Above the horizontal plane of the camera [rad], for `Tilt`; NaN where not given."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        self._to_arrays()
         for name in ("sigma", "range", "range_sigma", "camera", "elevation"):
             if self.t.size and not getattr(self, name).size:
                 value = np.array("" if name == "camera" else np.nan, getattr(self, name).dtype)
@@ -206,6 +204,9 @@ class Tilt(Columns):
     pitch: np.ndarray
     """Positive: its front is lowered [rad]."""
 
+    def __post_init__(self) -> None:
+        self._to_arrays()
+
 
 @dataclass(frozen=True, eq=False)
 class HomeBearing(ByValue):
@@ -240,6 +241,9 @@ class Truth(Columns):
     """[m]"""
     heading: np.ndarray
     """[rad]"""
+
+    def __post_init__(self) -> None:
+        self._to_arrays()
 
     def at(self, t: np.ndarray) -> Pose:
         """Interpolate the pose at times `t` [s], shape (m,); constant beyond either end."""
