@@ -51,9 +51,18 @@ def test_an_empty_column_of_ids_is_that_of_landmarks_without_ids(files):
     imported(files("t,landmark,x,y", lambda t, p: f"{t:.2f},,{p.real:.4f},{p.imag:.4f}"))
 
 
+def test_a_name_of_several_landmarks_in_a_frame_is_a_class(files):
+    paths = files("t,class,bearing", lambda t, p: f"{t:.2f},post,{np.angle(p):.5f}")
+    drive = imported(paths)
+    assert drive.sightings.landmark[:2].tolist() == ["class:post#1", "class:post#2"]
+    assert any("'post', which is the name of several" in reason for reason in drive.remarks)
+    repeated = understand(files("t,id,bearing", lambda t, p: f"{t:.2f},post,0.5"))
+    assert set(drive_of(repeated, "", REST).sightings.landmark) == {"post"}
+
+
 def test_positions_without_ids_are_imported_where_their_axes_are_given(files):
     paths = files("t,x,y", lambda t, p: f"{t:.2f},{p.real:.4f},{p.imag:.4f}")
-    with pytest.raises(InputError, match="not recognised"):
+    with pytest.raises(InputError, match=r"or 'reflectors\.csv: forward=x, left=y' for landmarks"):
         understand(paths)
     imported(paths, "reflectors.csv: forward=x, left=y")
     paths = files("t,x,y,nr", lambda t, p: f"{t:.2f},{p.real:.4f},{p.imag:.4f},7")

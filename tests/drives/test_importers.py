@@ -329,6 +329,31 @@ def test_dates_are_unix_time_and_numbers_are_names(tmp_path):
     assert drive.sightings.landmark.tolist() == [*drive.home] == ["3"]
 
 
+@pytest.mark.parametrize("day", ["2026-11-23", "23.11.2026"])
+def test_a_date_and_its_time_of_day_may_have_a_column_each(tmp_path, day):
+    drive = imported(
+        tmp_path,
+        odometry=f"date,time,v,omega\n{day},12:00:00.5,0.1,0\n{day},12:00:01,0.1,0\n",
+        bearings=f"date,time,id,bearing\n{day},12:00:00.75,3,0.5\n",
+        home="id,bearing\n3,0.25\n",
+    )
+    assert drive.settings.epoch == 1795435200
+    assert drive.odometry.t.tolist() == [0.5, 1.0]
+    assert drive.sightings.t.tolist() == [0.75]
+
+
+def test_a_row_of_home_bearings_below_numbers_of_landmarks_is_a_table(tmp_path):
+    seen = table("t,id,bearing", (f"{k},{k % 4 + 1},0.1" for k in range(8)))
+    drive = imported(
+        tmp_path,
+        odometry="t,v,omega\n0,0.1,0\n1,0.1,0\n",
+        bearings=seen,
+        home="1,2,3,4\n0.25,-1.5,2.0,0.5\n",
+    )
+    bearings = {name: seen.bearing for name, seen in drive.home.items()}
+    assert bearings == {"1": 0.25, "2": -1.5, "3": 2.0, "4": 0.5}
+
+
 @pytest.mark.parametrize(("unit", "is_counted"), [("rad", True), ("deg", True), ("deg", False)])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_headings_beyond_a_turn_have_the_unit_that_fits_the_path(
@@ -482,7 +507,7 @@ def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
     found = understand(write(tmp_path, odom=table("date,v,w", (f"{h},1,0" for h in hours))))
     assert found[0].table["t"].tolist() == [1795435200.0, 1795435200.5]
     with pytest.raises(InputError, match="must be a number or a time like 2026-11-23 12:00"):
-        understand(write(tmp_path, odom="date,v,w\n23.11.2026 12:00:00,1,0\n"))
+        understand(write(tmp_path, odom="date,v,w\n11/23/2026 12:00:00,1,0\n"))
 
 
 @pytest.mark.parametrize(

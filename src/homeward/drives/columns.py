@@ -55,7 +55,8 @@ _NO_UNITS = ("x", "y", "z", "w")
 ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
-        "t time timestamp stamp utime clock date datetime sec secs seconds ms zeit zeitstempel",
+        "t time timestamp stamp utime clock date datetime sec secs seconds ms zeit zeitstempel "
+        "datum uhrzeit",
     ),
     "v": (
         "speed",
@@ -120,6 +121,7 @@ AND = re.compile(r",(?=\s*\w+\s*=)")
 """Separates the specifications of two columns; other commas belong to names."""
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 SECONDS = ("sec", "secs", "seconds")
+DAYS, TIMES = ("date", "datum"), ("time", "uhrzeit", "zeit")
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
 KINDS: Mapping[str, tuple[str, ...]] = {
     "odometry": ("t", "v", "omega"),
@@ -181,8 +183,9 @@ JOINS = {
     "middle": "{}",
     "corner": "{} + {} / 2",
     "middle or corner": "{}, {}",
+    "day": "{} {}",
 }
-"""Formulas of the middle of a box, by the meaning of its columns."""
+"""Formulas of the middle of a box, by the meaning of its columns; and of a day with its time."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,8 @@ class Column:
     """Columns of the same quantity: the nanoseconds of a time in seconds; z, x and y of a
     quaternion whose w it is; the other end or the size of a box."""
     join: str = ""
-    """How a coordinate of a box gives that of its middle: a key of `JOINS`; empty: it is no box."""
+    """How a coordinate of a box gives that of its middle: a key of `JOINS`; "day": a date and its
+    time of day; empty: one column."""
     file: str | None = None
     """Name of the file it was specified for; None: any file with such a column."""
 
@@ -308,6 +312,8 @@ def recognised(
 def value_of(raw: Table, column: Column) -> np.ndarray:
     """Return the values of a column, combined with those in `more`, in its own unit."""
     first, more = raw[column.name], [raw[name] for name in column.more]
+    if column.role == "t" and column.join:
+        return first
     if column.role == "t" and more:
         return np.asarray(first + 1e-9 * more[0])
     if column.role == "heading" and more:
@@ -335,7 +341,7 @@ def best_names(role: str, names: Sequence[str]) -> list[str]:
 
 
 def _combined(names: Sequence[str]) -> Iterator[Column]:
-    """Yield times and quaternions in several columns, as ROS writes them."""
+    """Yield times and quaternions in several columns, as ROS writes them; a day and its time."""
     by_words = {words_in(name): name for name in names}
     for words, name in by_words.items():
         *stem, last = words or ("",)
@@ -343,6 +349,9 @@ def _combined(names: Sequence[str]) -> Iterator[Column]:
         if last in NANOSECONDS and whole is not None:
             yield Column("t", whole, "s", more=(name,))
             break
+    days, times = ([by_words[w,] for w in known if (w,) in by_words] for known in (DAYS, TIMES))
+    if days and times:
+        yield Column("t", days[0], "s", more=(times[0],), join="day")
     for words, name in by_words.items():
         *stem, last = words or ("",)
         if last == "w" and stem and stem[-1] in ROTATIONS:

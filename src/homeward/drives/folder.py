@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -34,7 +36,7 @@ from homeward.io.table import (
 )
 from homeward.io.writing import whole_folder
 from homeward.odometry.validity import MAX_DELAY_S
-from homeward.sighting_keys import is_unlabelled, numbered, without_number
+from homeward.sighting_keys import CLASS, is_unlabelled, numbered, without_number
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
@@ -53,6 +55,13 @@ SORTED = "rows of {} were out of order; sorted by time"
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
 REPEATED_TRUTH = "ground truth rows with a repeated stamp; the last counts"
 REPEATED_TILT = "rows of roll and pitch with a repeated stamp; the last counts"
+OF_CLASS = (
+    "sightings of {}, which is the name of several landmarks in most frames, used as sightings of "
+    "that class, without ids"
+)
+MIN_APART, MIN_FRAMES = 0.1, 10
+"""Minimum distance of bearings that are of two landmarks [rad]: more than the noise of cameras;
+and of frames that make a name a class."""
 REPEATED_SIGHTINGS = "repeated sightings of a landmark at one stamp; the last counts"
 NO_ODOMETRY = (
     f"stamps of bearings without odometry ({ODOMETRY} is missing): poses use the bearings of "
@@ -241,12 +250,17 @@ def wrapped(table: Table, name: str, remarks: dict[str, int]) -> np.ndarray:
 
 def _count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
     """Count in `remarks` the repeated sightings of a landmark at one stamp."""
-    t, landmark, starts = sightings.t, sightings.landmark, sightings.begins
-    sizes = np.diff(starts, append=t.size)
-    several = sizes > 1
-    stamps = zip(starts[several].tolist(), sizes[several].tolist(), strict=True)
-    if repeats := sum(n - len(set(landmark[a : a + n].tolist())) for a, n in stamps):
+    landmark, frames = sightings.landmark, _frames_of_several(sightings)
+    if repeats := sum(n - len(set(landmark[a : a + n].tolist())) for a, n in frames):
         remarks[REPEATED_SIGHTINGS] = repeats
+
+
+def _frames_of_several(sightings: Sightings) -> Iterator[tuple[int, int]]:
+    """Yield the first row and the number of rows of each frame with more than one sighting."""
+    starts = sightings.begins
+    sizes = np.diff(starts, append=sightings.t.size)
+    starts, sizes = starts[sizes > 1], sizes[sizes > 1]
+    yield from zip(starts.tolist(), sizes.tolist(), strict=True)
 
 
 def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
@@ -307,7 +321,11 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
 
 def _with_keys(sightings: Sightings, remarks: dict[str, int]) -> Sightings:
     """Return sightings of which those without an id have a key of their own in each frame."""
+    classes = _classes(sightings)
     texts = [str(text) for text in sightings.landmark]
+    for name, num in classes.items():
+        texts = [f"{CLASS}{name}" if text == name else text for text in texts]
+        remarks[OF_CLASS.format(quoted(name))] = num
     number = sum(map(is_unlabelled, texts))
     if not number:
         return sightings
@@ -315,6 +333,23 @@ def _with_keys(sightings: Sightings, remarks: dict[str, int]) -> Sightings:
     ends = [*sightings.begins.tolist(), len(texts)]
     keys = [key for a, b in pairwise(ends) for key in numbered(texts[a:b])]
     return replace(sightings, landmark=np.array(keys, object))
+
+
+def _classes(sightings: Sightings) -> dict[str, int]:
+    """Return the numbers of sightings of names that are several landmarks in most frames."""
+    several: Counter[str] = Counter()
+    for a, n in _frames_of_several(sightings):
+        ids, bearing = sightings.landmark[a : a + n], sightings.bearing[a : a + n]
+        if len(set(ids.tolist())) < n:
+            for name, num in Counter(ids.tolist()).items():
+                is_apart = num > 1 and np.ptp(bearing[ids == name]) > MIN_APART
+                several[name] += is_apart and not is_unlabelled(name)
+    found = {}
+    for name in (name for name, num in several.items() if num >= MIN_FRAMES):
+        use = sightings.landmark == name
+        if 2 * several[name] > np.unique(sightings.t[use]).size:
+            found[name] = int(use.sum())
+    return found
 
 
 def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:

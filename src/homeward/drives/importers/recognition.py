@@ -311,7 +311,13 @@ def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
         free = [other for other in free if other != name]
     roles = ", ".join(proposed)
     known = ", ".join(f"{role} ({name})" for role, name in found[kind].items())
-    return f"give {' and '.join(missing)}, as in --columns '{file}{roles}', for {kind} with {known}"
+    advice = (
+        f"give {' and '.join(missing)}, as in --columns '{file}{roles}', for {kind} with {known}"
+    )
+    if missing == ["heading"]:
+        x, y = (numbers.get(name, name) for name in (found[kind]["x"], found[kind]["y"]))
+        advice += f", or '{one.path.name}: forward={x}, left={y}' for landmarks without ids"
+    return advice
 
 
 def _find_odometry(parts: Sequence[Part], kinds: Mapping[str, str]) -> None:

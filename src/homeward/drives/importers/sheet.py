@@ -128,9 +128,13 @@ def _joint_states(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
 EMPTY = ("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "?")
 """Notations of a missing value."""
 THOUSANDS = re.compile(r"-?[1-9]\d{0,2}(\.\d{3})+")
-DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[ T]\d\d:\d\d")
+DATE = re.compile(r"\s*(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ T]\d\d:\d\d")
+GERMAN = re.compile(r"(\d\d)\.(\d\d)\.(\d{4})")
+"""Day, month and year."""
 
-_WHOLE = re.compile(r"^(\d+)\.0+$")
+_WHOLE, _ID = re.compile(r"^(\d+)\.0+$"), re.compile(r"\s*\d+\s*")
+MIN_IDS = 3
+"""Number of landmarks that a pose needs."""
 
 
 def number_parser(decimal_comma: bool) -> Parser:
@@ -150,6 +154,11 @@ def time_parser(decimal_comma: bool) -> Parser:
         return number_parser(decimal_comma)(name, cells, rows, path)
 
     return parse
+
+
+def _texts(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    """Return cells as they are."""
+    return np.array([cell.strip() for cell in cells], object)
 
 
 def names(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
@@ -192,7 +201,8 @@ def _decimal(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -
 def _unix(cell: str, name: str, row: int, path: Path) -> str:
     """Return a date and time of day as Unix time [s]; UTC without a time zone."""
     try:
-        time = datetime.fromisoformat(cell.strip().replace(",", "."))
+        iso = GERMAN.sub(r"\3-\2-\1", cell.strip().replace(",", "."))
+        time = datetime.fromisoformat(iso)
     except ValueError as error:
         problem = f"must be a number or a time like 2026-11-23 12:00:00.5, not {quoted(cell)}"
         raise InputError(problem, path, row, part=name) from error
@@ -244,7 +254,13 @@ class Sheet:
             for name in (column.name, *column.more)
             if name
         }
+        days = [column for column in columns.values() if column.join == "day"]
+        parsers |= {name: _texts for day in days for name in (day.name, *day.more)}
         raw = read_csv(self.path, parsers, form=self.form)
+        for day in days:
+            texts = [" ".join(cells) for cells in zip(raw[day.name], raw[day.more[0]], strict=True)]
+            t = kinds["time"](day.signed_name, texts, raw.row.tolist(), self.path)
+            raw = replace(raw, columns={**raw.columns, day.name: t})
         empty = np.full(len(raw), "", object)
         values = {key: value_of(raw, c) if c.name else empty for key, c in columns.items()}
         return replace(raw, columns=values)
@@ -379,7 +395,9 @@ def _is_header(head: Sequence[str], body: Sequence[Sequence[str]], comma: bool) 
         is_word = word.strip().lower() not in EMPTY and not is_number(word, comma)
         if is_word and filled and all(is_number(cell, comma) for cell in filled):
             return True
-    return False
+    # Ids above the bearings of one pose.
+    ids = all(map(_ID.fullmatch, head)) and len(set(head)) == len(head) >= MIN_IDS
+    return ids and len(body) == 1 and not any(map(_ID.fullmatch, body[0]))
 
 
 def _is_unit_row(cells: Sequence[str]) -> bool:

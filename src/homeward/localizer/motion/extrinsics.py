@@ -36,7 +36,8 @@ CONTRADICTION = (
 
 TURNED = (
     "The camera was turned on the robot by about {:.1f} deg during the drive. Fasten it, and set"
-    " `sensor: {{yaw: {:.3f}}}` in drive.yaml for later drives."
+    " `sensor: {{yaw: {:.3f}}}` in drive.yaml for later drives. If the"
+    " robot can move sideways instead, its odometry needs the sideways speed `vy`."
 )
 
 
