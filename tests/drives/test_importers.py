@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from homeward.drives.columns import unit_in
-from homeward.drives.folder import read_folder
+from homeward.drives.folder import SIGNS_CHANGED, read_folder, write_folder
 from homeward.drives.importers.reading import drive_of, home_warnings, understand
 from homeward.drives.opening import sample_drive
 from homeward.drives.robot import with_first_camera
@@ -582,3 +582,9 @@ def test_clockwise_bearings_of_two_cameras_are_found(tmp_path):
     seen = table("t,tag,camera,bearing", seen)
     found = understand(write(tmp_path, odometry=odometry, seen=seen))
     assert any("bearings with changed sign" in reason for one in found for reason in one.remarks)
+    drive = drive_of(found, "", home_needed=False)
+    write_folder(drive, tmp_path / "drive")
+    assert (
+        read_folder(tmp_path / "drive", home_needed=False).remarks[SIGNS_CHANGED]
+        == drive.sightings.t.size
+    )

@@ -52,6 +52,10 @@ REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN, TILT)
 OPTIONAL_COLUMNS = frozenset({"sigma", "range", "range_sigma", "elevation"})
 CAMERA = "camera"
 SORTED = "rows of {} were out of order; sorted by time"
+SIGNS_CHANGED = (
+    "bearings with a sign that homeward import changed to fit the yaw rates; if these are wrong, "
+    "as of wheels whose left and right are exchanged, the track is mirrored: import it again"
+)
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
 REPEATED_TRUTH = "ground truth rows with a repeated stamp; the last counts"
 REPEATED_TILT = "rows of roll and pitch with a repeated stamp; the last counts"
@@ -150,6 +154,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         if absent := sorted(given - set(sightings.landmark.tolist()), key=natural):
             names = listing([quoted(name) for name in absent], 3)
             remarks[f"landmarks of {file} without sightings in this drive: {names}"] = len(absent)
+    if settings.signs_changed:
+        remarks[SIGNS_CHANGED] = settings.signs_changed
     return Drive(
         name=folder.resolve().name,
         odometry=odometry,

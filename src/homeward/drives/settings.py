@@ -361,6 +361,8 @@ class DriveSettings(RobotSettings):
     check_senses: bool = True
     """Whether the rotation of the odometry is compared with the bearings, and a run is refused if
     these are in a fixed frame or another unit."""
+    signs_changed: Annotated[int, Field(ge=0)] = 0
+    """Number of bearings of which `homeward import` changed the sign; each run has a note on it."""
     epoch: int | None = None
     """Whole seconds to add to the times of the drive for the clock of its log; None: 0. The times
     of logs with Unix stamps count from their first whole second, since a double resolves Unix time

@@ -35,7 +35,13 @@ from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part
 from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
-from homeward.drives.importers.sense import FITS, NOT_DECIDED, require_imported_senses, with_senses
+from homeward.drives.importers.sense import (
+    FITS,
+    NOT_DECIDED,
+    REMARK,
+    require_imported_senses,
+    with_senses,
+)
 from homeward.drives.importers.sheet import Sheet, sheet
 from homeward.drives.measure import with_yaw_rate
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
@@ -265,6 +271,8 @@ def drive_of(
     given: dict[str, Any] = {"epoch": epoch} if epoch else {}
     if wheels not in (None, Wheels()) and "gyro" not in tables:
         given["wheels"] = wheels
+    if REMARK in remarks:
+        given["signs_changed"] = remarks[REMARK]
     drive = Drive(
         name=name,
         odometry=odometry,

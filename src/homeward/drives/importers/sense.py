@@ -22,7 +22,8 @@ SIDED = ("camera axes", "named")
 SHOWN = "sign changed to fit yaw rates"
 REMARK = (
     "bearings with changed sign, because they were clockwise and the yaw rates anti-clockwise; to "
-    "keep it, use --columns 'bearing=COLUMN', and if the yaw rates are wrong, 'omega=-COLUMN'"
+    "keep it, use --columns 'bearing=COLUMN', and if the yaw rates are wrong, 'omega=-COLUMN' or "
+    "left and right wheels exchanged"
 )
 FITS = "fits the bearings"
 UNIT = "rows with {} in {}, which fits the bearings; to keep it, use --columns '{}={}[{}]'"
