@@ -12,6 +12,7 @@ from benchmarks.random_faults import measured
         ("ids are rotated", 0),  # the robot seems to be elsewhere in a ring of landmarks
         ("odometry is zero", 4),  # one landmark is in view
         ("odometry is reversed", 4),
+        ("one wheel is dead", 5107),  # as if the camera's yaw were wrong
     ],
 )
 def test_a_pose_is_not_wrong_and_localised_for_more_than_a_second(kind, seed):

@@ -480,7 +480,8 @@ class Localizer:
             return []
         reckoned = self.twists.reckoned_at((frame.t - SIGN_LAGS_S).tolist())
         if reckoned is not None:
-            self._sign_checks.bearings(frame.t, frame.camera, frame.sightings, reckoned)
+            is_lost = self._chart.monitor.is_lost
+            self._sign_checks.bearings(frame.t, frame.camera, frame.sightings, reckoned, is_lost)
         innovations = self._chart.add_bearings(frame, here, self._t)
         if self.unlabelled is not None and self.unlabelled.after_frame(frame.t, self.chart):
             for chart in self.charts:

@@ -78,13 +78,23 @@ class SignChecks:
         return tuple(check.note() for check in self._by_camera.values() if check.is_wrong)
 
     def bearings(
-        self, t: float, camera: str, sightings: Mapping[str, float], reckoned: np.ndarray
+        self,
+        t: float,
+        camera: str,
+        sightings: Mapping[str, float],
+        reckoned: np.ndarray,
+        is_lost: bool = False,
     ) -> None:
-        """Add sightings of a camera, given by name; the others as in `SignCheck.bearings`."""
+        """Add sightings of a camera, given by name; the others as in `SignCheck.bearings`.
+
+        They do not count if the robot `is_lost` in its map and the convention was confirmed before:
+        then the odometry is wrong rather than the convention, which does not change.
+        """
         if camera not in self._by_camera:
             name = camera if camera in self.robot.cameras else ""
             self._by_camera[camera] = SignCheck(self.robot.mount_of(camera), name)
-        self._by_camera[camera].bearings(t, sightings, reckoned)
+        check = self._by_camera[camera]
+        check.bearings(t, {} if is_lost and check.is_confirmed else sightings, reckoned)
 
 
 class SignCheck:
@@ -142,6 +152,11 @@ class SignCheck:
     def is_wrong(self) -> bool:
         """Whether the convention is rejected."""
         return float(self._probability[self._right].sum()) < SIGN_FALSE_ALARM
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether all other conventions are rejected."""
+        return float(self._probability[~self._right].sum()) < SIGN_FALSE_ALARM
 
     @property
     def is_reversed(self) -> bool:
