@@ -12,6 +12,8 @@ from benchmarks.random_faults import measured
         ("ids are rotated", 0),  # the robot seems to be elsewhere in a ring of landmarks
         ("odometry is zero", 4),  # one landmark is in view
         ("odometry is reversed", 4),
+        ("landmarks move together, for good", 5003),  # as if the robot were displaced
+        ("landmarks move together, for good", 5007),
         ("one wheel is dead", 5107),  # as if the camera's yaw were wrong
     ],
 )

@@ -36,7 +36,7 @@ from homeward.localizer.output.faces import (
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.monitor import Health, Monitor, carried_since, odometry_lost
-from homeward.localizer.recovery.relocalise import find_by_frame, pose_reset
+from homeward.localizer.recovery.relocalise import by_odometry, find_by_frame, pose_reset
 from homeward.localizer.recovery.survey_fix import FirstFix, Resected, Resection
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
@@ -82,9 +82,9 @@ class Chart:
         self._in_view: frozenset[str] = frozenset()
         """Landmarks of that frame."""
         self._driven_at_fit = Driven()
-        """Wheel motion up to the last frame of which most bearings were accepted, ..."""
-        self._driven_at_keyframe = Driven()
-        """... and up to the newest keyframe."""
+        """Wheel motion up to the last frame of which most bearings were accepted."""
+        self._at_keyframe = twists.at(-math.inf)
+        """Dead reckoning at the newest keyframe."""
         self.slipped_at = -math.inf
         """When bearings last denied a motion [s]."""
         self._resection = Resection()
@@ -265,7 +265,7 @@ class Chart:
                 doubt = doubt or Reason.UNSOLVED.words
             if self.monitor.is_suspected:
                 doubt = doubt or Reason.UNFIT.words
-            if self.monitor.is_unconfirmed(self.map.landmarks):
+            if self.monitor.displacement is not None:
                 doubt = doubt or Reason.RELOCALISED.words
             if doubt is not None:
                 found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
@@ -364,6 +364,8 @@ class Chart:
                 return self._update(gated)
             case Health.SLIPPED if gated is not None:
                 return self._relocalise(seen, gated.motion) or self._update(gated)
+            case Health.NOT_DISPLACED if gated is not None:
+                return self._undo_displacement(gated)
             case Health.LOST:
                 return self._relocalise(seen, motion)
             case _:
@@ -401,13 +403,29 @@ class Chart:
         found = search.find(self.map.landmarks, self.map.smoother.state)
         if found is None and self.monitor.is_lost:
             camera = self.map.camera(Motion.identity(), seen.offset)
-            driven = seen.driven.since(self._driven_at_keyframe)
+            driven = seen.driven.since(self._at_keyframe.driven)
             found = find_by_frame(seen, camera, self.map.landmarks, self.map.smoother.state, driven)
             since = Motion.identity()
         if found is None:
             if self.monitor.is_lost:
                 self.counts.reject(Rejection.LOST, len(seen.names))
             return False
+        state, seconds = self.map.smoother.state, seen.t - self.map.smoother.stamps[-1]
+        reckoned = self._at_keyframe, self._twists.at(seen.t)
+        odometry = by_odometry(state, *reckoned, self.process_noise.rates, seconds)
+        self.monitor.displace(found, since, odometry, state.scale)
+        return self._reset_pose(seen, found, since)
+
+    def _undo_displacement(self, gated: Gated) -> bool:
+        """Reset the pose to that by odometry, since landmarks moved together, not the robot."""
+        found, moved = self.monitor.undo_displacement(self.map.smoother.state)
+        self.map.landmarks.declare_moved(moved, gated.frame.t)
+        return self._reset_pose(gated.frame, found, gated.motion)
+
+    def _reset_pose(
+        self, seen: WeighedFrame, found: tuple[np.ndarray, np.ndarray], since: Motion
+    ) -> bool:
+        """Reset the pose to one that was `found`, and a motion since then; return True."""
         reset = pose_reset(self.map.smoother.state.mean[:3], *found).compose(since)
         try:
             self.map.reset_pose(seen, reset)
@@ -415,9 +433,11 @@ class Chart:
             self._give_up_map()
             return True
         self._begin_motion(seen.t, reset)
-        mapped = [name for name in seen.names if name in self.map.landmarks.mapped]
-        self.monitor.end_search(seen.t, mapped)
-        self.slipped_at, self._driven_at_fit = seen.t, self._driven_at_keyframe
+        self.monitor.end_search(seen.t, self.map.smoother.newest)
+        if self.monitor.displacement is not None:
+            self.monitor.test_displacement(self.map.gate(seen, Motion.identity(), True), self.map)
+            self.map.drop_frame()
+        self.slipped_at, self._driven_at_fit = seen.t, self._at_keyframe.driven
         return True
 
     def _find_home(self, now: float) -> None:
@@ -456,7 +476,7 @@ class Chart:
         self.monitor = Monitor(self.drive.start is not None)
         self._first_fix = FirstFix(self.map.registration.survey)
         self.odometry.restart(t)
-        self._driven_at_keyframe = self._twists.driven(t)
+        self._at_keyframe = self._twists.at(t)
         if self._keeps:
             self.map.smoother.retain_marginalised()
 
@@ -475,7 +495,7 @@ class Chart:
         """Restart odometry and monitor at a new keyframe, reached by a motion."""
         self.odometry.restart(t)
         self.monitor.add_keyframe(motion)
-        self._driven_at_keyframe = self._twists.driven(t)
+        self._at_keyframe = self._twists.at(t)
 
     def coasts(self, t: float) -> bool:
         """Return whether no bearing has been accepted recently before `t` [s]."""

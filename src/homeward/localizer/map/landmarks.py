@@ -10,6 +10,7 @@ from heapq import nlargest
 from statistics import median
 
 import numpy as np
+from scipy.special import chdtri
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import sight
@@ -36,6 +37,7 @@ from homeward.localizer.tunables import (
     BASELINE,
     CANDIDATE_MEMORY_S,
     ESTABLISHED,
+    FALSE_ALARM,
     GATE,
     INLIER,
     LINEAR,
@@ -258,7 +260,7 @@ class Landmarks:
             self.moved_at[name] = waiting.since
         elif known:
             self.drop(name)  # it was badly initialised
-        elif self._has_returned(name, rows):
+        elif self._has_returned(name, rows, position):
             self._restore(name)
         first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
         if name not in self.mapped:
@@ -351,13 +353,19 @@ class Landmarks:
         few = MARGIN < excess < MIN_SIGHTINGS and len(rows) < ESTABLISHED
         return few or self._is_swapped(name, rows, position)
 
-    def _has_returned(self, name: str, rows: np.ndarray) -> bool:
-        """Return whether sightings fit the former position of a landmark declared moved."""
+    def _has_returned(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
+        """Return whether sightings fit the former position of a landmark declared moved.
+
+        They must fit it as well as the new `position` (2,) by their own noise: lines from few
+        directions also pass near the former one of a landmark that moved along them.
+        """
         if name not in self.former:
             return False
         place = self.smoother.all_landmarks.positions(numbers([self.former[name]]))
-        off = self._residuals(rows, place)[0]
-        return bool((off < INLIER * self._line_sigmas(rows)).mean() >= MAJORITY)
+        own, off = self._residuals(rows, np.vstack([position, place]))
+        squares = (off**2 - own**2) / self._own_sigmas(rows) ** 2
+        fits = (off < INLIER * self._line_sigmas(rows)).mean() >= MAJORITY
+        return bool(fits and squares.sum() < chdtri(2, FALSE_ALARM))
 
     def _restore(self, name: str) -> None:
         """Restore a landmark to its former position."""
@@ -405,6 +413,15 @@ class Landmarks:
                 self.drop(name)
                 initialised = True
         return initialised
+
+    def declare_moved(self, names: Collection[str], t: float) -> None:
+        """Declare landmarks moved at `t` [s]; candidates, from a wrong pose, begin again."""
+        for name in self.mapped.keys() & set(names):
+            self.former.setdefault(name, self.mapped[name])
+            if self.former[name] is self.mapped.pop(name):
+                self.moved_at[name] = t
+        self._candidates.clear()
+        self.range_mixtures.clear()
 
     def revert_to(self, keyframe: int) -> None:
         """Remove landmarks initialised after a keyframe, and undo moves declared since."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 from itertools import combinations
@@ -27,7 +27,7 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
-from homeward.localizer.recovery.relocalise import Search
+from homeward.localizer.recovery.relocalise import Displacement, Search
 from homeward.localizer.tunables import (
     CLOSE,
     FALSE_ALARM,
@@ -38,8 +38,8 @@ from homeward.localizer.tunables import (
     MIN_LOG_ODDS,
     MIN_TOGETHER,
     MINIMAL,
-    ONE_BODY,
     RECENT,
+    UPHEAVAL,
     USUAL_FIT,
     VAGUE,
 )
@@ -213,6 +213,8 @@ class Health(Enum):
     """Nothing is mapped, and the motion since the origin is unknown."""
     SLIPPED = auto()
     """It may have slipped to nearby: too many innovations are large."""
+    NOT_DISPLACED = auto()
+    """It was relocalised, but landmarks had moved together, and it is where odometry has it."""
     ODOMETRY_LOST = auto()
     """Lost from now on: odometry dropped out for too long ..."""
     KIDNAPPED = auto()
@@ -244,8 +246,8 @@ class Monitor:
         """... and the relocalisation search."""
         self._past: list[tuple[float, float]] = []
         """Earlier intervals in which it was lost [s]."""
-        self._agreeing: dict[str, bool] | None = None
-        """Whether the newest bearing of each landmark fits a relocalised pose; None: confirmed."""
+        self.displacement: Displacement | None = None
+        """The displacement by which a relocalised pose differs from odometry; None: confirmed."""
 
     def assess_odometry(self, motion: Motion, known: Map) -> Health:
         """Assess odometry: whether bearings can be predicted from where the map has the robot.
@@ -266,10 +268,8 @@ class Monitor:
         """Assess the innovations of the newest frame: whether the bearings fit the map."""
         index = known.smoother.index(known.landmarks.ids(gated.fits))
         self._fit.add(np.array([*gated.fits.values()], bool), known.smoother.p_static[index])
-        if self._agreeing is not None:
-            self._agreeing.update(gated.fits)
-            if not self.is_unconfirmed(known.landmarks):
-                self._agreeing = None
+        if self.test_displacement(gated, known):
+            return Health.NOT_DISPLACED
         if self._kidnap.was_kidnapped(gated.fits):
             return Health.KIDNAPPED
         if self._scene.has_changed(
@@ -291,25 +291,51 @@ class Monitor:
         self._kidnap.clear()
         self._slip.clear()
 
-    def end_search(self, t: float, names: Collection[str]) -> None:
-        """Declare the robot relocalised at `t` [s] by a frame with these mapped landmarks."""
+    def displace(
+        self,
+        found: tuple[np.ndarray, np.ndarray],
+        since: Motion,
+        odometry: tuple[np.ndarray, np.ndarray],
+        scale: float,
+    ) -> None:
+        """Declare the robot displaced, if it is not where odometry has it.
+
+        It was `found` a motion before, and would be elsewhere by `odometry` since the newest
+        keyframe: poses (3,) with covariances (3, 3). `scale` is the distance of landmarks [m].
+        """
+        if self.displacement is not None:
+            odometry = self.displacement.without(*odometry)
+        displaced = Displacement(found, since, odometry, scale)
+        self.displacement = None if displaced.is_none else displaced
+
+    def undo_displacement(self, state: Marginal) -> tuple[tuple[np.ndarray, np.ndarray], list[str]]:
+        """Return the pose at the newest keyframe by odometry, and the landmarks that moved."""
+        wrong, self.displacement = self.displacement, None
+        assert wrong is not None
+        return wrong.without(state.mean[:3], state.covariance[:3, :3]), wrong.moved
+
+    def end_search(self, t: float, keyframe: int) -> None:
+        """Declare the robot relocalised at `t` [s], at a new keyframe."""
         if self._since is not None:
             self._past.append((self._since, t))
-        self._since, self._agreeing, self._fit = None, dict.fromkeys(names, True), FitTest()
+        self._since, self._fit = None, FitTest()
+        if self.displacement is not None:
+            self.displacement.keyframe = keyframe
         self._kidnap.clear()
         self._slip.clear()
 
-    def is_unconfirmed(self, landmarks: Landmarks) -> bool:
-        """Return whether too few landmarks have agreed on the pose since the last relocalisation.
+    def test_displacement(self, gated: Gated, known: Map) -> bool:
+        """Test a displacement by a frame; return whether landmarks moved together instead.
 
-        Landmarks in view that moved together look like a robot that was displaced, and the others
-        decide. Each one belongs to those with probability `ONE_BODY`, but never most of all.
+        It is decided if it is for each prior: most robots are displaced never or once, but this one
+        was found at a moment at which the landmarks in view looked like that.
         """
-        if self._agreeing is None:
+        if self.displacement is None:
             return False
-        needed = math.log(FALSE_ALARM) / math.log(ONE_BODY)
-        needed = min(needed, MAJORITY * len(landmarks.mapped))
-        return sum(self._agreeing.values()) < needed
+        log_factor = self.displacement.add(gated, known)
+        if log_factor + math.log(FALSE_ALARM / UPHEAVAL) > MIN_LOG_ODDS:
+            self.displacement = None
+        return log_factor + math.log(1.0 / UPHEAVAL - 1.0) < -MIN_LOG_ODDS
 
     def add_keyframe(self, motion: Motion) -> None:
         """Register a new keyframe, reached by a motion."""

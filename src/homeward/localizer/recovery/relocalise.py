@@ -4,6 +4,13 @@ Recent bearings are connected by odometry, or those of one frame are used alone.
 
 A pose has to be much more probable than all its rivals together: other poses, that no landmark is
 where it is mapped, that only a carried body fits, and that the robot is where odometry has it.
+
+Landmarks that moved by one rigid motion look like a robot that was displaced by its inverse. Then
+each landmark is where it is mapped, seen from the pose that was found, or it is seen as from the
+pose by odometry. If the robot was displaced, all are of the first kind, but for outliers. If
+landmarks moved together, those of the first kind moved. Any number of them up to half is equally
+probable, since most of the landmarks are what "in place" means. Those that moved may be neighbours,
+and be in view together, so that no set of that number is improbable.
 """
 
 from __future__ import annotations
@@ -15,16 +22,21 @@ from typing import TypeAlias
 
 import numpy as np
 
-from homeward.geometry.angles import wrap
+from homeward.geometry.angles import TWO_PI, wrap
+from homeward.geometry.se2 import between, compose, lever, rotation, sight
 from homeward.geometry.statistics import positive
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.bodies import find_bodies
+from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.motions import HEAD, NC, Motion
+from homeward.localizer.motions import HEAD, NC, SPEED_SCALE, TURN_SCALE, Motion
+from homeward.localizer.reference.labels import log_inlier
 from homeward.localizer.resection import SightLines, located, resect
 from homeward.localizer.tunables import (
     CLOSE,
+    INLIER,
     LINEAR,
     MIN_LOG_ODDS,
     MINIMAL,
@@ -33,7 +45,7 @@ from homeward.localizer.tunables import (
     RESECTION_STEPS,
     UPHEAVAL,
 )
-from homeward.odometry.history import Driven
+from homeward.odometry.history import Driven, Reckoned
 
 
 def relocalise(
@@ -245,3 +257,131 @@ def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Mo
     nothing = np.zeros((3, NC))
     back = Motion(last, np.zeros((3, 3)), nothing).inverse()
     return back.compose(Motion(pose, 2.0 * covariance, nothing))
+
+
+def by_odometry(
+    state: Marginal, then: Reckoned, now: Reckoned, rates: np.ndarray, seconds: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose (3,) by dead reckoning for some `seconds` since a state, and its covariance.
+
+    `rates` (3, 3) are those of the process noise. Errors of the calibration are as large as what
+    it corrects at most.
+    """
+    moved = between(np.array(then.pose), np.array(now.pose))
+    pose, covariance = _after(state.mean[:3], state.covariance[:3, :3], moved)
+    _, path, turned = now.driven.since(then.driven)
+    square = (state.calibration**2 + state.calibration_variances)[
+        [SPEED_SCALE, SPEED_SCALE, TURN_SCALE]
+    ]
+    covariance += np.diag(
+        rates @ [seconds, path, turned] + square * np.array([path, path, turned]) ** 2
+    )
+    return pose, covariance
+
+
+def _after(
+    pose: np.ndarray, covariance: np.ndarray, motion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a pose (3,) and its covariance (3, 3) after an exact motion (3,)."""
+    after = compose(pose, motion)
+    arm = lever(after - pose)
+    return after, arm @ covariance @ arm.T
+
+
+class Displacement:
+    """Test of a robot that was displaced against landmarks that moved together.
+
+    It was `found` a motion before, and would be elsewhere by `odometry`: poses (3,) in the map and
+    their covariances (3, 3). `scale` is the distance of landmarks [m].
+    """
+
+    def __init__(
+        self,
+        found: tuple[np.ndarray, np.ndarray],
+        since: Motion,
+        odometry: tuple[np.ndarray, np.ndarray],
+        scale: float,
+    ) -> None:
+        self._found, here = _after(*found, since.delta)
+        self._odometry, self._covariance = odometry
+        self.keyframe = 0
+        """The keyframe at which the robot was found."""
+        self._ratios: dict[str, float] = {}
+        """Log likelihood ratio of the newest bearing of each landmark: in place over seen as from
+        the pose by odometry."""
+        off, unit = self._odometry - self._found, np.array([scale, scale, 1.0])
+        off[2] = wrap(off[2])
+        self.is_vague = bool((np.diag(self._covariance) >= (CLOSE * unit) ** 2).any())
+        """Whether odometry is too uncertain to contradict the pose that was found."""
+        square = float(off @ np.linalg.solve(here + self._covariance, off))
+        is_near = bool((np.abs(off) <= NEGLIGIBLE * unit).all())
+        self.is_none = not self.is_vague and (is_near or square <= INLIER**2)
+        """Whether the robot was found where odometry has it."""
+
+    @property
+    def _by(self) -> np.ndarray:
+        """The motion (3,) in the map that leads from poses found to those by odometry."""
+        return compose(self._odometry, between(self._found, np.zeros(3)))
+
+    def without(self, pose: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pose (3,) of a robot that was not displaced, and its covariance (3, 3).
+
+        Given those of the displaced one, by odometry since it was found.
+        """
+        by = self._by
+        before, turn = compose(by, pose), rotation(float(by[2]))
+        arm = lever(before - self._odometry)
+        return before, arm @ self._covariance @ arm.T + turn @ covariance @ turn.T
+
+    def add(self, gated: Gated, known: Map) -> float:
+        """Add a frame in a map; return the log Bayes factor of a displaced robot."""
+        smoother, places = known.smoother, known.landmarks.positions(gated.fits)
+        if self.keyframe >= smoother.first:
+            self._found = smoother.poses[self.keyframe - smoother.first]
+        by, eye, residual = self._by, gated.result.eye, gated.result.residual
+        there = between(by, np.column_stack([places, np.zeros(len(places))]))[:, :2]
+        seen = sight(eye, there)
+        off = np.asarray(wrap(residual + sight(eye, places).bearing - seen.bearing))
+        by_pose = np.einsum("ki,kij->kj", seen.by_place, lever(there - self._found[:2])[:, :2])
+        by_pose = by_pose @ rotation(-float(by[2]))
+        variance = gated.result.deviation**2
+        ratios = _log_density(residual, variance)
+        variance = variance + ((by_pose @ self._covariance) * by_pose).sum(axis=1)
+        ratios = ratios - _log_density(off, variance)
+        if self.is_vague:
+            ratios = np.maximum(ratios, 0.0)
+        self._ratios.update(zip(gated.fits, ratios.tolist(), strict=True))
+        ratios, count = np.array([*self._ratios.values()]), self._number_near(known.landmarks)
+        return -_log_moved(ratios, count)
+
+    def _number_near(self, known: Landmarks) -> int:
+        """Return the number of landmarks as near to those seen since as they are to the robot."""
+        names = [*known.mapped]
+        away = np.hypot(*(known.positions(names) - self._found[:2]).T)
+        was_seen = np.array([name in self._ratios for name in names], bool)
+        return int(np.count_nonzero(away <= 2.0 * away[was_seen].max(initial=0.0)))
+
+    @property
+    def moved(self) -> list[str]:
+        """The landmarks that moved if the robot is where odometry has it."""
+        return [name for name, ratio in self._ratios.items() if ratio > 0.0]
+
+
+def _log_density(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the log density of residuals (k,) of variances (k,), some of which are outliers."""
+    inlier = math.log1p(-UPHEAVAL) + log_inlier(off, variance)
+    return np.logaddexp(inlier, math.log(UPHEAVAL / TWO_PI))
+
+
+def _log_moved(ratios: np.ndarray, count: int) -> float:
+    """Return the log Bayes factor of landmarks that moved together over a displaced robot.
+
+    Of `count` landmarks, some have log likelihood `ratios` of a displaced robot. Any number of
+    landmarks up to half of them moved; of those that were seen, the most probable ones.
+    """
+    k, most = ratios.size, count // 2
+    log_likelihoods = -np.cumsum(np.append(0.0, np.sort(ratios)))[::-1]  # by the number that moved
+    possible = np.maximum(most + 1 - np.arange(k + 1), 0.0)
+    with np.errstate(divide="ignore"):
+        each = log_likelihoods + np.log(possible / (most + 1))
+    return float(each.max())
