@@ -21,6 +21,7 @@ from homeward.localizer.unlabelled.constellation import Match, Sky, match, searc
 from homeward.localizer.unlabelled.home import relative_places
 from homeward.localizer.unlabelled.local_map import LocalMap
 from homeward.localizer.unlabelled.lost import Loss
+from homeward.localizer.unlabelled.registry import Registry
 from homeward.localizer.unlabelled.repetition import log_repetition
 from homeward.registry import make_estimator
 from homeward.sighting_keys import class_of, is_unlabelled, keyed, numbered, without_number
@@ -256,6 +257,14 @@ def test_a_landmark_just_out_of_reach_is_hardly_expected_where_the_reach_is_shar
     assert (sharp[beyond] < 0.05).all()
 
 
+def test_a_landmark_whose_distance_is_not_known_yet_does_not_blur_the_reach():
+    known, distances = Registry(), np.linspace(0.5, 3.0, 500)
+    known.add_distances([*distances, *[9.0] * 20], distances)
+    known.update_reach()
+    assert known.reach == pytest.approx(3.0, rel=0.05)
+    assert known.edge < 0.1
+
+
 def test_a_square_has_four_poses():
     points = np.array([[2.0, 2.0], [-2.0, 2.0], [-2.0, -2.0], [2.0, -2.0]])
     pose = np.array([0.5, 0.3, 0.2])
@@ -342,6 +351,13 @@ def test_a_camera_of_90_degrees_identifies_landmarks_out_of_view():
     figures = benchmark.compared(pair)
     assert figures["purity"] > 0.95
     assert figures["wrong"] == 0.0
+
+
+def test_home_is_found_among_60_landmarks_while_most_are_new():
+    pair = benchmark.open_hall(0, number=60, reach=3.0, duration=45.0)
+    localizer = Localizer(pair.without.home, **pair.without.settings.robot)
+    track = run(pair.without, localizer)
+    assert Status.LOCALISED in track.status
 
 
 def test_a_drive_without_ids_is_read_as_it_was_written(pair, tmp_path):

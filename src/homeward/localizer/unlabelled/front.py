@@ -368,8 +368,10 @@ class UnlabelledLandmarks:
         mapped = chart.map.landmarks.mapped
         usable = {n: self.known.kinds.get(n, "") for n in mapped if n not in self.known.aliases}
         self._anchors.add_frame(t, self._in_frame)
-        distances = chart.map.landmarks.distances(usable)
-        self.known.add_distances(distances, {*self.names.values()})
+        seen = {*self.names.values()}
+        distances = chart.map.landmarks.distances(n for n in usable if n in seen)
+        established = {n: d for n, d in distances.items() if mapped[n].established}
+        self.known.add_distances(distances.values(), established.values())
         return self.home.update(t, self._path, chart, usable, self.known) or changed
 
     def _rename(self, new: str, old: str, chart: Chart) -> bool:

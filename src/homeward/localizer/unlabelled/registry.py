@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable
 from itertools import combinations
 
 import numpy as np
@@ -34,6 +34,7 @@ class Registry:
         self.edge = LINEAR
         """... and over which detection falls off beyond it [reach]."""
         self._distances: deque[float] = deque(maxlen=NUM_DISTANCES)
+        self._established: deque[float] = deque(maxlen=NUM_DISTANCES)
         self._born = 0
 
     def new_name(self, kind: str) -> str:
@@ -46,14 +47,20 @@ class Registry:
         self.together.update(combinations(sorted({*names}), 2))
         self.linked.update(combinations(sorted({*names, *live}), 2))
 
-    def add_distances(self, distances: Mapping[str, float], seen: Container[str]) -> None:
-        """Add the distances of landmarks [m], of which some were `seen` in a frame."""
-        self._distances.extend(d for n, d in distances.items() if n in seen)
+    def add_distances(self, seen: Iterable[float], established: Iterable[float]) -> None:
+        """Add the distances of landmarks that are seen [m], and of those that are established.
+
+        The distance of a landmark that was mapped just now may be far too large.
+        """
+        self._distances.extend(seen)
+        self._established.extend(established)
 
     def update_reach(self) -> None:
         """Update the reach and its edge by all known distances."""
         if self._distances:
-            self.reach, last = np.quantile(self._distances, (REACH, LAST)).tolist()
+            self.reach = float(np.quantile(self._distances, REACH))
+        if self._established:
+            last = float(np.quantile(self._established, LAST))
             self.edge = min(max(last / self.reach - 1.0, CLOSE / 2), LINEAR)
 
     def count(self, name: str, is_hit: bool) -> None:
