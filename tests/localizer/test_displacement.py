@@ -24,8 +24,11 @@ def displacement(found=ELSEWHERE, odometry=HERE, uncertain=SMALL):
     return Displacement((found, SMALL), NOTHING, (odometry, uncertain), 3.0)
 
 
-def add(displaced, names, static=()):
-    """Add a frame of landmarks, some of them seen as from where odometry has the robot."""
+def add(displaced, names, static=(), found=ELSEWHERE):
+    """Add a frame of landmarks, some of them seen as from where odometry has the robot.
+
+    `found` is the pose at which the robot was found by the newest solution of the map.
+    """
     places = np.array([PLACES[name] for name in names])
     expected = sight(ELSEWHERE, places).bearing
     bearings = [
@@ -36,7 +39,7 @@ def add(displaced, names, static=()):
         residual=np.asarray(wrap(np.array(bearings) - expected)),
         deviation=np.full(len(names), 0.02),
     )
-    smoother = SimpleNamespace(first=0, poses=ELSEWHERE[None])
+    smoother = SimpleNamespace(first=0, poses=found[None])
     landmarks = SimpleNamespace(
         mapped=PLACES, positions=lambda some: np.array([PLACES[name] for name in some])
     )
@@ -81,6 +84,15 @@ def test_odometry_that_is_lost_contradicts_no_pose():
 @pytest.mark.parametrize(("off", "is_none"), [(0.05, True), (0.3, False)])
 def test_a_robot_found_near_where_odometry_has_it_was_not_displaced(off, is_none):
     assert displacement(found=np.array([off, 0.0, 0.0])).is_none is is_none
+
+
+def test_a_displacement_ends_where_the_map_finds_the_robot_where_odometry_has_it():
+    """As after a camera was turned: it is known again, and explains the bearings."""
+    displaced = displacement()
+    assert add(displaced, ["L0", "L1", "L2"]) == "open"
+    assert displaced.is_none is False
+    add(displaced, ["L0", "L1", "L2"], static=["L0", "L1", "L2"], found=HERE)
+    assert displaced.is_none is True
 
 
 def test_the_pose_without_a_displacement_follows_the_motion_since():

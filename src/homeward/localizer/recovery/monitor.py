@@ -333,8 +333,10 @@ class Monitor:
         if self.displacement is None:
             return False
         log_factor = self.displacement.add(gated, known)
-        if log_factor + math.log(FALSE_ALARM / UPHEAVAL) > MIN_LOG_ODDS:
+        is_proved = log_factor + math.log(FALSE_ALARM / UPHEAVAL) > MIN_LOG_ODDS
+        if is_proved or self.displacement.is_none:
             self.displacement = None
+            return False
         return log_factor + math.log(1.0 / UPHEAVAL - 1.0) < -MIN_LOG_ODDS
 
     def add_keyframe(self, motion: Motion) -> None:

@@ -302,21 +302,29 @@ class Displacement:
         odometry: tuple[np.ndarray, np.ndarray],
         scale: float,
     ) -> None:
-        self._found, here = _after(*found, since.delta)
+        self._found, self._covariance_found = _after(*found, since.delta)
         self._odometry, self._covariance = odometry
         self.keyframe = 0
         """The keyframe at which the robot was found."""
         self._ratios: dict[str, float] = {}
         """Log likelihood ratio of the newest bearing of each landmark: in place over seen as from
         the pose by odometry."""
-        off, unit = self._odometry - self._found, np.array([scale, scale, 1.0])
-        off[2] = wrap(off[2])
-        self.is_vague = bool((np.diag(self._covariance) >= (CLOSE * unit) ** 2).any())
+        self._unit = np.array([scale, scale, 1.0])
+        self.is_vague = bool((np.diag(self._covariance) >= (CLOSE * self._unit) ** 2).any())
         """Whether odometry is too uncertain to contradict the pose that was found."""
-        square = float(off @ np.linalg.solve(here + self._covariance, off))
-        is_near = bool((np.abs(off) <= NEGLIGIBLE * unit).all())
-        self.is_none = not self.is_vague and (is_near or square <= INLIER**2)
-        """Whether the robot was found where odometry has it."""
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the robot was found where odometry has it.
+
+        Later solutions may show that, as of a camera that was turned, which explains the bearings.
+        """
+        if self.is_vague:
+            return False
+        off = self._odometry - self._found
+        off[2] = wrap(off[2])
+        square = float(off @ np.linalg.solve(self._covariance_found + self._covariance, off))
+        return bool((np.abs(off) <= NEGLIGIBLE * self._unit).all() or square <= INLIER**2)
 
     @property
     def _by(self) -> np.ndarray:
