@@ -121,7 +121,7 @@ class Landmarks:
         self.moved_at: dict[str, float] = {}
         """When they moved [s]."""
         self.range_mixtures: dict[str, RangeMixture] = {}
-        """Range mixtures of landmarks of home that could not be triangulated yet."""
+        """Range mixtures of landmarks that could not be triangulated yet."""
         self.expected: dict[str, np.ndarray] = {}
         """Expected positions of surveyed landmarks that are not mapped yet, (2,) [m]."""
         self._candidates = ById[Candidate]()
@@ -218,11 +218,11 @@ class Landmarks:
             for row in waiting.rows:
                 scale_noise(row[None], factor)
 
-    def initialise(self, home: Collection[str]) -> bool:
+    def initialise(self) -> bool:
         """Initialise the candidates that can be triangulated; return whether any was.
 
         Those with most sightings are tried first: if new ones come faster than they can be tried,
-        many are never seen again. Others that `home` saw get a range mixture.
+        many are never seen again.
         """
         waiting = [n for n in self._candidates if n not in self.mapped and self._is_due(n)]
         most = max(MAX_TRIALS, sum(name in self.expected for name in waiting))
@@ -231,7 +231,7 @@ class Landmarks:
         for name in due:
             if name in initialised:
                 self.range_mixtures.pop(name, None)
-            elif name in home and len(self._candidates[name].rows) >= MIN_SIGHTINGS:
+            elif len(self._candidates[name].rows) >= MIN_SIGHTINGS:
                 rows = np.array(self._candidates[name].rows)
                 self._fit_range_mixture(name, rows, self._line_sigmas(rows))
         return bool(initialised)

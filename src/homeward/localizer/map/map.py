@@ -436,7 +436,7 @@ class Map:
 
     def _correct(self, changed: bool) -> None:
         """Solve the window with the newest sightings, after landmarks have `changed` or not."""
-        initialised = self.landmarks.initialise(self.home)
+        initialised = self.landmarks.initialise()
         if initialised:
             self.registration.fix_expected()
         self.evaluated = False

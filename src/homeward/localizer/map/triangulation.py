@@ -47,11 +47,8 @@ def triangulate(
     """
     if len(bearings) < MIN_LINES:
         return None
-    lines, weights = cameras[:, 2] + bearings, sigmas**-2.0
-    around = wrap(lines - lines[0])
-    # Their information on the distance, from cameras that are equally far away [1/distance^2].
-    information = weights @ (around - weights @ around / weights.sum()) ** 2
-    if np.ptp(around) < parallax or information < LINEAR**-2.0:
+    lines = cameras[:, 2] + bearings
+    if not _spread(lines, np.ones(lines.size, bool), parallax):
         return None
     chosen = _spaced(lines.size)
     points = _intersections(cameras[chosen, :2], lines[chosen], 0.5 * parallax)
