@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import subprocess
 import sys
 
@@ -149,7 +150,7 @@ KINDS = {
     "home": {"bearings": SEEN},
     "start": dict.fromkeys(("x", "y", "heading"), LENGTH)
     | dict.fromkeys(("sigma", "sigma_heading"), SIGMA),
-    "mount": dict.fromkeys(("x", "y", "yaw"), LENGTH),
+    "mount": dict.fromkeys(("x", "y"), extreme(20.0)) | {"yaw": extreme(math.tau)},
     "go_to": dict.fromkeys(("x", "y"), LENGTH),
     **{kind: {} for kind in ("look_round", "store_home", "turn_home", "go_home", "reset")},
 }

@@ -362,6 +362,8 @@ def test_diagnostics_have_the_notes_of_the_localiser():
     session = Session()
     session.receive(SetHome(bearings={"a": 90.0, "b": -45.0, "c": 10.0}), 0.0)
     list(session.process())
+    session.request_landmarks()  # as each second
+    list(session.process())
     assert "3 bearings beyond a full turn" in session.diagnostics(0.0).notes[0]
 
 

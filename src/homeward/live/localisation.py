@@ -95,6 +95,8 @@ class Localisation:
         """Clock of all samples, and on it the newest stamp of a frame with bearings [s]."""
         self._lag = smoothed_lag
         self._late: FixedLag | None = None
+        self.notes: tuple[str, ...] = ()
+        """Notes of the estimator at the last call of `landmarks`; it may be busy now."""
         self.smoothed: list[msg.Smoothed] = []
         """Smoothed estimates that are not sent yet."""
         if estimator is not None:
@@ -241,7 +243,8 @@ class Localisation:
             self.place.close()
 
     def landmarks(self) -> msg.LandmarksOut:
-        """Return the estimates of all landmarks."""
+        """Return the estimates of all landmarks, and update `notes`."""
+        self.notes = () if self.estimator is None else self.estimator.notes
         return msg.LandmarksOut(
             landmarks=tuple(
                 msg.LandmarkOut(

@@ -349,7 +349,7 @@ class Session:
             advice=self.localisation.advice,
             faults=tuple(fault.reason for fault in faults),
             values={f.reason: f.value for f in faults if f.value is not None},
-            notes=() if estimator is None else estimator.notes,
+            notes=self.localisation.notes,
             counts=counts,
             waiting=self.waiting,
             work_ms=1e3 * work,
