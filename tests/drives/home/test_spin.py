@@ -183,6 +183,12 @@ def refused(words, odometry=None, sightings=None, interval=ALL, settings=None):
     assert len(str(caught.value).splitlines()) == 1
 
 
+def test_a_drive_without_sightings_is_left_to_what_needs_them():
+    odometry, sightings, _ = turned(0)
+    drive = Drive("empty", odometry, sightings.rows(sightings.t < 0.0), {}, DriveSettings())
+    assert with_home(drive, HomeWhen(spin=ALL)) is drive
+
+
 def test_what_is_no_turn_at_home_is_refused():
     odometry, sightings, _ = turned(0)
     t, v, omega = odometry.t, odometry.v, odometry.omega
@@ -191,6 +197,5 @@ def test_what_is_no_turn_at_home_is_refused():
     refused("not turn on the spot", Odometry(t, v + 0.4, omega))
     refused("finite", Odometry(t, v, np.where(t > 3.0, np.nan, omega)))
     refused("a gap of", odometry.rows((t < 4.0) | (t > 6.0)))
-    refused("no sightings", sightings=sightings.rows(sightings.t < 0.0))
     refused("no sightings", sightings=dataclasses.replace(sightings, bearing=np.nan * sightings.t))
     refused("home_sensor", settings=DriveSettings(home_sensor=Mount(x=0.1)))
