@@ -174,7 +174,7 @@ MAX_TIME_S = 1e75
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-class Turn:
+class CopyableLock:
     """A lock of an object that may be copied or pickled: the copy has a lock of its own."""
 
     def __init__(self) -> None:
@@ -186,12 +186,12 @@ class Turn:
     def __exit__(self, *_: object) -> None:
         self._lock.release()
 
-    def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
-        return Turn, ()
+    def __reduce__(self) -> tuple[type[CopyableLock], tuple[()]]:
+        return CopyableLock, ()
 
 
 def synchronised(method: Method) -> Method:
-    """Decorate a method of an object with a `Turn` ``_turn``: one thread at a time calls it."""
+    """Decorate a method of an object with a lock ``_turn``: one thread at a time calls it."""
 
     @functools.wraps(method)
     def inside(self: Any, *values: Any, **named: Any) -> Any:

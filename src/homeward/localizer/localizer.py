@@ -27,12 +27,12 @@ from homeward.drives.robot import (
 )
 from homeward.drives.settings import DriveSettings, OtherCamera, Robot
 from homeward.estimator import (
+    CopyableLock,
     Counts,
     Estimate,
     Innovation,
     LandmarkEstimate,
     Status,
-    Turn,
     guarded,
     synchronised,
 )
@@ -112,7 +112,7 @@ class Localizer:
         known: KnownLandmarks | dict[str, Any] | None = None,
         **robot: Unpack[Robot],
     ) -> None:
-        self.counts, self._turn = Counts(), Turn()
+        self.counts, self._turn = Counts(), CopyableLock()
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
         self._cameras = Cameras(self._robot, (seen.camera for seen in self._home.values()))
