@@ -183,7 +183,6 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.leaderboard $(if $(QUICK),--quick --out /dev/null)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
-	$(if $(QUICK),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lasting)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --lag 5)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --smooth)

@@ -1,12 +1,11 @@
 """Bearing errors that last: what is learnt of them, and how much sightings then count."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
+from wandering_drives import late_figures, with_correlated_errors
 
-from benchmarks.lasting import drive_of, figures
 from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.localizer import Localizer
 from homeward.track import run
@@ -75,18 +74,13 @@ def test_as_many_sightings_tell_as_much_as_the_mean_of_their_process(gap):
 
 
 def test_maps_keep_their_scale_where_errors_last():
-    drive, whole = drive_of("all", 1)
-    end = drive.odometry.t[0] + 150.0
-    seen, twists = drive.sightings, drive.odometry
-    drive = dataclasses.replace(
-        drive, sightings=seen.rows(seen.t < end), odometry=twists.rows(twists.t < end)
-    )
+    drive, whole = with_correlated_errors(1, 150.0)
     localizer = Localizer(drive.home, **drive.settings.robot)
     track = run(drive, localizer)
     assert any(
         n.startswith("Bearing errors of") and "correlated over" in n for n in localizer.notes
     )
-    found = figures(track, drive, whole)
+    found = late_figures(track, drive, whole)
     assert abs(found["scale"]) < 1.0  # 3.5 and more where they are counted as white
     assert found["pose"] > 0.95
     assert 0.2 < found["nees"] < 3.0

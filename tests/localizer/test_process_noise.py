@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 from rig import Rig, ring
+from wandering_drives import late_figures, with_odometry_noise
 
-from benchmarks.odometry_noise import drive_of, row
+from benchmarks.consistency.trial import without
 from homeward.drives.settings import OdometryDefaults, OdometryNoise, Sensor, noise_rates
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.learning.learner import misfit
@@ -199,10 +200,14 @@ def test_a_steady_speed_has_no_noise_of_samples():
 
 @pytest.mark.parametrize("times", [0.1, 3.0])
 def test_nothing_told_costs_little(times):
-    rmse, nees, pose, at_best, _, _ = row(*drive_of(1.0, times, 0, 80.0), False)
-    assert rmse < 1.25 * at_best
-    assert 2.2 < nees < 3.5
-    assert pose > 0.9
+    whole = with_odometry_noise(times, 0, 80.0)
+    blind, best = (
+        late_figures(run(drive, Localizer(drive.home, **drive.settings.robot)), drive)
+        for drive in (without(whole, odometry=True).drive, whole.drive)
+    )
+    assert blind["rmse"] < 1.25 * best["rmse"]
+    assert 2.2 < blind["nees"] < 3.5
+    assert blind["pose"] > 0.9
 
 
 def test_what_is_usual_of_odometry_counts_until_it_is_learnt():
@@ -222,7 +227,7 @@ def test_what_is_usual_of_odometry_counts_until_it_is_learnt():
 
 def test_a_table_top_is_a_small_room():
     def rmse(size):
-        drive = drive_of(1.0, 0.3, 3, 90.0)[1].drive
+        drive = with_odometry_noise(0.3, 3, 90.0).drive
         way, truth = drive.odometry, drive.truth
         drive = dataclasses.replace(
             drive,

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 from cli.commands import call, first_seconds
+from wandering_drives import with_odometry_noise
 
-from benchmarks.odometry_noise import drive_of
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, RobotSettings, Sensor
@@ -25,7 +25,7 @@ from homeward.track import Innovations
 
 def without_noise(seconds):
     """A drive without noise settings, three times better than the default, and its ground truth."""
-    drive = drive_of(1.0, 0.3, 1, 60.0)[0].drive
+    drive = with_odometry_noise(0.3, 1, 60.0).drive
 
     def cut(table):
         return table.rows(table.t <= table.t[0] + seconds)
