@@ -24,6 +24,7 @@ from homeward.lab.simulation.simulate import PAPER_HOMING, Simulation, prepare, 
 from homeward.lab.studies.study.trial import simulated_trial
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator
+from homeward.track import run as follow
 
 HOMING = "homing, 1 moved"
 PARTS: dict[str, dict[str, Any]] = {f"{n} moved": {"moved": Moved(count=n)} for n in range(3)}
@@ -49,18 +50,11 @@ def bound(simulation: Simulation) -> np.ndarray:
 
 def final_error(drive: Drive, estimator: Estimator) -> tuple[np.ndarray, np.ndarray]:
     """Replay a drive; return error (3,) and covariance (3, 3) at the last bearing stamp."""
-    odometry = iter(zip(drive.odometry.t, drive.odometry.v, drive.odometry.omega, strict=True))
-    twist = next(odometry, None)
-    for t, seen, sigmas in drive.sightings.stamps():
-        while twist is not None and twist[0] <= t:
-            estimator.odometry(*map(float, twist))
-            twist = next(odometry, None)
-        estimate = estimator.bearings(t, seen, sigmas)
-    if estimate.pose is None:
-        return np.full(3, np.nan), np.full((3, 3), np.nan)
-    error = np.array(estimate.pose) - np.array(drive.truth.at(np.array(t)))
+    track, t = follow(drive, estimator), drive.sightings.t[-1]
+    k = int(np.searchsorted(track.t, t))
+    error = np.array([track.x[k], track.y[k], track.heading[k]]) - np.array(drive.truth.at(t))
     error[2] = wrap(error[2])
-    return error, estimate.covariance
+    return error, track.covariance[k]
 
 
 @lru_cache(maxsize=2)

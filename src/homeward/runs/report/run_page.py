@@ -185,11 +185,7 @@ def _landmarks(track: Track) -> Markup:
         )
     moved = [k for k, m in enumerate(landmarks) if m.moved]
     text = html.note("Bearings and distances are from home. Empty: not estimated.")
-    return (
-        html.section("Moved landmarks", html.table("wlrrrrrr", rows, moved), text)
-        if landmarks
-        else html.EMPTY
-    )
+    return html.section("Moved landmarks", html.table("wlrrrrrr", rows, moved), text)
 
 
 def _fate(m: LandmarkEstimate, track: Track) -> str:
