@@ -14,21 +14,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.measures import Figures
+from benchmarks.measures import Figures, figures
 from benchmarks.monte_carlo import Column, Run, benchmark
-from homeward.drives.drive import HomeBearing
-from homeward.drives.settings import Sensor
-from homeward.estimator import Estimate, Status
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.settings import DriveSettings, Sensor
+from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
+from homeward.track import run as follow
 
 DT, EVERY = 0.1, 2  # interval of odometry [s], and number of twists per frame of bearings
 SIGMA, SPEED_SIGMA, TURN_SIGMA = 0.01, 0.01, 0.01
 """Noise of bearings [rad] and of twists [m/s, rad/s, at 1 Hz]."""
 BAD_S, GOOD_S = 30.0, 60.0  # duration of the faults, and of the drive without faults [s]
 LATE_S = 10.0  # duration of the evaluated end of a drive [s]
-WRONG_SIGMAS = 4.0  # A pose with a larger error is wrong [standard deviations]
 CALAMITIES = "calamities"
 COLUMNS = (
     Column("pose, alone", "alone", np.nanmean),
@@ -116,51 +116,37 @@ class World:
         return self.speed, float(np.clip(1.5 * off, -0.7, 0.7))
 
 
-class Robot(NamedTuple):
-    """A robot with a camera; a call returns a new localiser."""
-
-    home: dict[str, HomeBearing]
-    sensor: Sensor
-
-    def __call__(self) -> Localizer:
-        return Localizer(self.home, sensor=self.sensor)
-
-
 class Outcome(NamedTuple):
     """Result of a drive."""
 
     pose: float  # availability of a pose in the last seconds [1]
-    lies: float  # share of the last seconds localised, and wrong [1]
+    lies: float  # share of the last seconds with a reliable status, and wrong [1]
     status: Status
     error: float  # of the last pose [m]
 
 
-def replay(localizer: Localizer, samples: list[Sample]) -> Outcome:
-    answers: list[tuple[float, Estimate, Pose]] = []
-    for t, truth, twist, seen in samples:
-        if twist is not None:
-            localizer.odometry(t, *twist)
-        if seen is not None:
-            answers.append((t, localizer.bearings(t, seen), truth))
-    late = [(a, truth) for t, a, truth in answers if t > samples[-1].t - LATE_S]
-    last, truth = late[-1]
-    off = math.nan
-    if last.pose is not None:
-        off = math.hypot(last.pose.x - truth.x, last.pose.y - truth.y)
-    found = sum(a.pose is not None for a, _ in late) / len(late)
-    lies = sum(a.status is Status.LOCALISED and is_wrong(a, p) for a, p in late) / len(late)
-    return Outcome(found, lies, last.status, off)
+def outcome(drive: Drive) -> Outcome:
+    """Return what the localiser answers at the end of a drive."""
+    track = follow(drive, Localizer(drive.home, **drive.settings.robot))
+    begin = float(track.t[-1]) - LATE_S
+    found = figures(track, drive.truth, after_s=begin - float(track.t[0]))
+    has_pose = float(track.has_pose[track.t > begin].mean())
+    return Outcome(
+        has_pose, found.get("wrong", 0.0), track.status[-1], found.get("final", math.nan)
+    )
 
 
-def is_wrong(answer: Estimate, truth: Pose) -> bool:
-    if answer.pose is None or answer.covariance is None:
-        return False
-    d = np.array([answer.pose.x - truth.x, answer.pose.y - truth.y])
-    return bool(d @ np.linalg.solve(answer.covariance[:2, :2], d) > WRONG_SIGMAS**2)
+def drive_of(home: dict[str, HomeBearing], sensor: Sensor, samples: list[Sample]) -> Drive:
+    """Return the drive of samples."""
+    twists = np.array([(s.t, *s.twist) for s in samples if s.twist is not None])
+    seen = [(s.t, n, b, math.nan) for s in samples for n, b in (s.seen or {}).items()]
+    truth = np.array([(s.t, *s.truth) for s in samples])
+    tables = Odometry(*twists.T), Sightings.of_rows(seen)
+    return Drive("kidnapped", *tables, home, DriveSettings(sensor=sensor), Truth(*truth.T))
 
 
-def calamity(seed: int) -> tuple[Robot, list[Sample], list[Sample]]:
-    """Return a robot, half a minute of faults, and a minute without."""
+def calamity(seed: int) -> tuple[Drive, Drive]:
+    """Return a minute without faults, and the same after half a minute of faults."""
     rng = np.random.default_rng(seed)
     count, far = int(rng.integers(5, 13)), float(rng.uniform(3.0, 6.0))
     angles = 2 * math.pi * (np.arange(count) + rng.uniform(-0.4, 0.4, count)) / count
@@ -177,7 +163,8 @@ def calamity(seed: int) -> tuple[Robot, list[Sample], list[Sample]]:
     bad: list[Sample] = []
     while world.t < BAD_S - DT:
         bad += _mishap(world, min(float(rng.uniform(1.0, 12.0)), BAD_S - world.t))
-    return Robot(home, sensor), bad, list(world.drive(GOOD_S))
+    good = list(world.drive(GOOD_S))
+    return drive_of(home, sensor, good), drive_of(home, sensor, bad + good)
 
 
 def _mishap(world: World, seconds: float) -> list[Sample]:
@@ -232,8 +219,8 @@ CARRIED = {
 }
 
 
-def hall(seed: int, how: Carried, times: float = 1.0) -> tuple[Robot, list[Sample]]:
-    """Return a robot, and a drive (300 s x `times`) in which it is carried."""
+def hall(seed: int, how: Carried, times: float = 1.0) -> Drive:
+    """Return a drive (300 s x `times`) in which the robot is carried."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-20.0, 60.0, 60), rng.uniform(-20.0, 20.0, 60)
     marks = {f"L{i}": p for i, p in enumerate(zip(x.tolist(), y.tolist(), strict=True))}
@@ -247,7 +234,7 @@ def hall(seed: int, how: Carried, times: float = 1.0) -> tuple[Robot, list[Sampl
     else:
         world.middle = (0.0, 0.0)
     samples += world.drive(times * 150.0)
-    return Robot(home, Sensor(bearing_sigma=SIGMA)), samples
+    return drive_of(home, Sensor(bearing_sigma=SIGMA), samples)
 
 
 def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample]:
@@ -262,14 +249,13 @@ def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample
 
 def measured(run: Run) -> Figures:
     """Return what happened at the end of a drive; for calamities, also after their last minute."""
+    alone = {}
     if run.scenario == CALAMITIES:
-        make, bad, samples = calamity(run.seed)
-        alone = {"alone": replay(make(), samples).pose > 0.5}
-        samples = bad + samples
+        last, drive = calamity(run.seed)
+        alone = {"alone": outcome(last).pose > 0.5}
     else:
-        make, samples = hall(run.seed, CARRIED[run.scenario])
-        alone = {}
-    found = replay(make(), samples)
+        drive = hall(run.seed, CARRIED[run.scenario])
+    found = outcome(drive)
     right = found.status is Status.LOCALISED and found.lies == 0.0
     return alone | {
         "pose": found.pose > 0.5,

@@ -11,19 +11,16 @@ from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from benchmarks.case2 import PARTS
 from benchmarks.consistency.scenarios import SCENARIOS, Family
 from benchmarks.cost import make_drive
-from benchmarks.kidnapped import CARRIED, Robot, Sample, calamity, hall
+from benchmarks.kidnapped import CARRIED, calamity, hall
 from benchmarks.leaderboard.families import HOME_NOISE_DEG, real
 from benchmarks.leaderboard.set_1 import set_1_drive
 from benchmarks.mrclam import data
-from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.drives.drive import Drive, Truth
 from homeward.drives.folder import write_folder
 from homeward.drives.opening import open_drive
-from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.lab.simulation.simulate import PAPER_HOMING, simulate
@@ -85,25 +82,12 @@ def cost() -> dict[str, Family]:
 def kidnapped() -> dict[str, Family]:
     """Drives of benchmarks.kidnapped."""
 
-    def calamities(seed: int) -> Input:
-        robot, bad, good = calamity(seed)
-        return Input(_recorded(robot, bad + good), frozenset())
-
-    def carried(how: str, seed: int) -> Input:
-        return Input(_recorded(*hall(seed, CARRIED[how])), frozenset())
-
-    halls = {how: Family("", partial(carried, how)) for how in CARRIED}
-    return {"calamities": Family("", calamities)} | halls
-
-
-def _recorded(robot: Robot, samples: list[Sample]) -> Drive:
-    """Return the drive of samples."""
-    twists = np.array([(s.t, *s.twist) for s in samples if s.twist is not None])
-    seen = [(s.t, n, b, math.nan) for s in samples for n, b in (s.seen or {}).items()]
-    truth = np.array([(s.t, *s.truth) for s in samples])
-    settings = DriveSettings(sensor=robot.sensor)
-    tables = Odometry(*twists.T), Sightings.of_rows(seen)
-    return Drive("kidnapped", *tables, robot.home, settings, Truth(*truth.T))
+    makes = {"calamities": lambda seed: calamity(seed)[1]}
+    makes |= {how: lambda seed, how=how: hall(seed, CARRIED[how]) for how in CARRIED}
+    return {
+        name: Family("", lambda seed, make=make: Input(make(seed), frozenset()))
+        for name, make in makes.items()
+    }
 
 
 def field() -> dict[str, Family]:

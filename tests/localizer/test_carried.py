@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig import Rig, ring
 
-from benchmarks.kidnapped import CARRIED, calamity, hall, replay
+from benchmarks.kidnapped import CARRIED, calamity, hall, outcome
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
@@ -22,8 +22,7 @@ from homeward.localizer.smoothing import smooth
 
 @pytest.mark.parametrize("seed", [10, 11])
 def test_a_minute_that_alone_gives_a_pose_gives_one_after_any_calamities(seed):
-    make, bad, honest = calamity(seed)
-    alone, whole = replay(make(), honest), replay(make(), bad + honest)
+    alone, whole = map(outcome, calamity(seed))
     assert whole.pose > 0.5 or alone.pose <= 0.5
     assert whole.lies == 0.0
 
@@ -37,11 +36,10 @@ def test_a_minute_that_alone_gives_a_pose_gives_one_after_any_calamities(seed):
     ],
 )
 def test_a_robot_carried_in_a_hall_is_localised_again(how, seed, times):
-    make, samples = hall(seed, CARRIED[how], times=times)
-    outcome = replay(make(), samples)
-    assert outcome.lies == 0.0
-    assert outcome.status is Status.LOCALISED
-    assert outcome.error < 0.5
+    found = outcome(hall(seed, CARRIED[how], times=times))
+    assert found.lies == 0.0
+    assert found.status is Status.LOCALISED
+    assert found.error < 0.5
 
 
 def displaced(before, now, sigma=0.05, last=50, first=60):
