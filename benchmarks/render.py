@@ -1,8 +1,8 @@
 """Homing by images in rendered sparse rooms.
 
-The rooms of `benchmarks.rooms`, furnished according to the seed: from up to 4 m with unknown
-heading, three boxes moved since home, a person walking through; in four of five seeds the camera
-has another tilt in each picture. `benchmarks.vision` compares pairs of pictures.
+The rooms of `benchmarks.rooms`, with boxes drawn from the seed: from up to 4 m with unknown
+heading, three boxes moved since home; in four of five seeds the camera has another tilt in each
+picture. `benchmarks.vision` compares pairs of pictures.
 
     python -m benchmarks.render [--rooms NAME ...] [--seeds 5] [--width 1024]
 
@@ -10,7 +10,7 @@ Rows are rooms: shares of homings that end within 2 and 5 cm (goal of the first:
 report home elsewhere; the distance from home; NEES of (x, y, heading) while localised (3 expected),
 and its share beyond 4 sigma; landmarks detected as moved, of those tested, on moved boxes, at their
 edges, and elsewhere; the moved boxes of which most landmarks are; processor time of an image.
-`--first 100` uses rooms with other furniture: for the development of methods.
+`--first 100` uses rooms with other boxes: for the development of methods.
 """
 
 import time
@@ -112,10 +112,7 @@ def homing(run: Run, width: int) -> Figures:
 
 
 def tested(loop: ImageLoop, landmarks: list[LandmarkEstimate]) -> dict[tuple[str, str], Counter]:
-    """Return the number of home's tested landmarks that moved or did not, by position and object.
-
-    Those on people do not count.
-    """
+    """Return the number of tested landmarks that moved or did not, by position and object."""
     home, moved = loop.front_end.home, moved_boxes(loop.eye)
     things, edge = things_seen(loop.eye, home), at_edge(loop.eye, home, frozenset(moved))
     counts = defaultdict[tuple[str, str], Counter](Counter)
@@ -123,8 +120,7 @@ def tested(loop: ImageLoop, landmarks: list[LandmarkEstimate]) -> dict[tuple[str
         if mark.landmark.startswith("h") and mark.sightings and mark.moved is not None:
             row = int(mark.landmark[1:])
             where = MOVED if things[row] in moved else EDGE if edge[row] else STATIC
-            if not things[row].startswith("mover"):
-                counts[where, things[row]][mark.moved] += 1
+            counts[where, things[row]][mark.moved] += 1
     return counts
 
 

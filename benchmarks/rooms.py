@@ -11,7 +11,8 @@ from shapely import distance as distance_between
 
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
-from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
+from homeward.lab.simulation.render.room.boxes import with_boxes
+from homeward.lab.simulation.render.room.settings import RenderScenario, Walls
 from homeward.lab.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
 from homeward.lab.simulation.simulate import changed_scenario
 
@@ -37,7 +38,7 @@ class RoomPlan:
     """[m]"""
     floor: str = "carpet"
     boxes: int = 6
-    posters: int = 5
+    pictures: int = 5
 
 
 def _oblong(width: float, depth: float) -> tuple[tuple[float, float], ...]:
@@ -52,13 +53,13 @@ PLANS = {
     ),
     "kitchen": RoomPlan(_oblong(6.0, 4.0), 2.5, "tiles"),
     "office": RoomPlan(_oblong(7.0, 5.0), 2.7),
-    "corridor": RoomPlan(_oblong(11.0, 3.4), 2.6, "tiles", posters=8),
-    "classroom": RoomPlan(_oblong(9.0, 6.5), 3.0, boxes=8, posters=8),
+    "corridor": RoomPlan(_oblong(11.0, 3.4), 2.6, "tiles", pictures=8),
+    "classroom": RoomPlan(_oblong(9.0, 6.5), 3.0, boxes=8, pictures=8),
     "attic": RoomPlan(((0, 0), (7, 1), (8, 5), (3, 6.5), (-1, 4)), 2.5, "wood", boxes=7),
     "gallery": RoomPlan(
-        ((0, 0), (10, 0), (10, 8), (5, 8), (5, 5), (0, 5)), 3.5, boxes=8, posters=12
+        ((0, 0), (10, 0), (10, 8), (5, 8), (5, 5), (0, 5)), 3.5, boxes=8, pictures=12
     ),
-    "hall": RoomPlan(_oblong(14.0, 9.0), 4.0, "tiles", boxes=12, posters=12),
+    "hall": RoomPlan(_oblong(14.0, 9.0), 4.0, "tiles", boxes=12, pictures=12),
 }
 """By name, roughly from small to large."""
 
@@ -76,11 +77,10 @@ def room(
     plan = PLANS[name]
     home, start = _poses(plan, np.random.default_rng([seed, list(PLANS).index(name)]), distance)
     local = between(home, start)
-    return RenderScenario(
+    made = RenderScenario(
         name=name,
         seed=seed,
         room=Walls(outline=plan.outline, height=plan.height, floor=plan.floor),
-        furnish=Furnish(boxes=plan.boxes, posters=plan.posters, movers=1, moved=moved),
         home=RoomPose(x=home.x, y=home.y, heading=home.heading),
         start=StartPose(
             R=round(math.hypot(local.x, local.y), 3),
@@ -95,11 +95,12 @@ def room(
             speed=SPEED, duration=120.0, stop_radius=STOP_RADIUS, drives_unlocalised=True
         ),
     )
+    return with_boxes(made, plan.boxes, plan.pictures, moved)
 
 
-def changed_room(name: str, changes: Mapping[str, Any]) -> RenderScenario:
+def changed_room(name: str, changes: Mapping[str, Any], moved: int = 3) -> RenderScenario:
     """Return a room with seed 0 and changes: dotted keys ("camera.width") to values."""
-    return changed_scenario(room(name), changes)
+    return changed_scenario(room(name, moved=moved), changes)
 
 
 def _poses(

@@ -24,7 +24,6 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.lab.simulation.render.drive import Eye
 from homeward.lab.simulation.render.rays.raycast import points, trace
-from homeward.lab.simulation.render.room.settings import HOME_TIME
 from homeward.runs.scoring import normalised_squared
 from homeward.vision import Comparison, Equirectangular, compare, extract
 from homeward.vision.cameras.image_files import read_grey
@@ -35,7 +34,7 @@ ANTWORLD = Equirectangular(horizon=0.8, tilt_sigma=0.005)
 NORTH = math.pi / 2  # direction of the middle column of these pictures
 SAME, EXPOSURE, STILL = "same exposure", "other exposure", "nothing moved"
 """Exposure of the two pictures: equal to 5 %, or both with a standard deviation of 50 %; and rooms
-without moved boxes and people."""
+without moved boxes."""
 TILTS = {"tilt of 2 deg": 0.035, "tilt of 5 deg": 0.087}
 """Standard deviation of roll and pitch of both pictures [rad]."""
 MIN_TILT = 0.005
@@ -203,9 +202,6 @@ class Rendered(NamedTuple):
 def rendered(name: str, seed: int, width: int, kind: str = SAME) -> Rendered:
     """Return a pair of images in a room."""
     scenario = room(name, seed, distance=(0.3, 3.0), moved=0 if kind == STILL else 3)
-    if kind == STILL:
-        furnish = scenario.furnish.model_copy(update={"movers": 0})
-        scenario = scenario.model_copy(update={"furnish": furnish})
     changes = {"width": width, "height": width // 4, "tilt_sigma": TILTS.get(kind, MIN_TILT)}
     if kind == EXPOSURE:
         changes["exposure_sigma"] = 0.5
@@ -225,8 +221,8 @@ def bearing_errors(pair: Rendered, seen: Comparison) -> np.ndarray:
     """Return the errors of the bearings of the inliers [rad], from the points that they show."""
     home, now = pair.eye.home_view, pair.eye.view(pair.robot, 1)
     rays = seen.pairs.home_vectors[seen.agrees]
-    surfaces, _ = pair.eye.then.at(HOME_TIME, home)
-    x, y, _ = ((points(trace(surfaces, home, rays), home, rays) - now.position) @ now.rotation).T
+    hits = trace(pair.eye.then.surfaces, home, rays)
+    x, y, _ = ((points(hits, home, rays) - now.position) @ now.rotation).T
     return np.abs(wrap(seen.pairs.now[seen.agrees, 0] - np.arctan2(y, x)))
 
 

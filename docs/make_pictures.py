@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 from PIL import Image
@@ -34,6 +35,10 @@ RERUN = Path(sys.executable).with_name("rerun")
 PAGE_SIZE, PAGE_MOMENT_S = (1280, 720), 87.0
 VIEWER_SIZE, VIEWER_MOMENT_S = (1000, 640), 139.0
 PORT, SETTLE_S = 9896, 10.0
+PANORAMA = {"camera.width": 1024, "camera.height": 256}
+FISHEYE = {"camera.projection": "fisheye", "camera.width": 1280, "camera.height": 640}
+FISHEYE |= {"camera.field_of_view": 3.2, "tags.size": 0.2, "tags.walls": 24}
+"""Settings of docs/do/rooms.md and docs/do/cameras.md."""
 
 
 def main() -> None:
@@ -41,7 +46,8 @@ def main() -> None:
     pictures = {
         "observe-two.png": lambda file: file.write_bytes(png(draw_family(observe(2)), dpi=90)),
         "plan-warehouse.png": _picture_plan,
-        "rendered-room.jpg": _picture_room,
+        "rendered-room.jpg": partial(_picture_room, PANORAMA),
+        "rendered-fisheye.jpg": partial(_picture_room, FISHEYE),
         "studio.png": _picture_studio,
         "sample-report.png": _picture_report,
         "sample-recording.png": _picture_recording,
@@ -75,9 +81,9 @@ def _picture_report(file: Path) -> None:
         picture.save(file, pnginfo=words, optimize=True)
 
 
-def _picture_room(file: Path) -> None:
+def _picture_room(changes: dict[str, object], file: Path) -> None:
     """Render what the camera of a living room's robot sees at home."""
-    eye = Eye(load_room("living-room", changes={"camera.width": 1024, "camera.height": 256}))
+    eye = Eye(load_room("living-room", changes=changes))
     cv2 = opencv()
     cv2.imwrite(str(file), eye.home_picture(), [cv2.IMWRITE_JPEG_QUALITY, 80])
 

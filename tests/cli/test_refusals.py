@@ -46,7 +46,7 @@ REFUSED = {
     "simulate living-room --images --set camera.width=7": "camera.width",
     "simulate living-room --images --set start.R=40": "runs into a wall",
     "simulate living-room --images --estimator robot": "robot",
-    "simulate living-room --images --set furnish.boxes=100": "boxes",
+    "simulate living-room --images --set furnish.boxes=100": "furnish",
     "simulate living-room --images --set camera.widht=64": "did you mean camera.width?",
     "study nowhere": "nowhere",
     "study paper --set runs=0": "runs",

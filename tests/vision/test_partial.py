@@ -22,8 +22,10 @@ LENSES = {
 
 
 def room(lens, **changes):
-    camera = {"camera.projection": lens, **LENSES[lens], "furnish.moved": "0"}
-    return changed_room("bedroom", camera | {k.replace("_", "."): v for k, v in changes.items()})
+    camera = {"camera.projection": lens, **LENSES[lens]}
+    return changed_room(
+        "bedroom", camera | {k.replace("_", "."): v for k, v in changes.items()}, moved=0
+    )
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])

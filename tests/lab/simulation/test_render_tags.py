@@ -48,7 +48,7 @@ def test_a_pixel_shows_what_its_ray_in_the_camera_model_meets(eye, changes):
     camera = RoomCamera(**tilted)
     seeing = Eye(eye.scenario.model_copy(update={"camera": camera}))
     robot = Pose(0.1, 0.2, 0.7)
-    truth, view = seeing.truth(0.0, robot, 1), seeing.view(robot, 1)
+    truth, view = seeing.truth(robot, 1), seeing.view(robot, 1)
     x, y, z = (truth.point - view.position).reshape(-1, 3).T
     local = np.arctan2(y, x) - seeing.scenario.home.heading - robot.heading
     elevation, known = np.arctan2(z, np.hypot(x, y)), camera.known

@@ -24,8 +24,7 @@ from homeward.io.reading import naming
 from homeward.io.table import write_csv
 from homeward.lab.simulation.course import Driven, Log, before, drive_course
 from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace, viewpoint
-from homeward.lab.simulation.render.room.furnish import furnished
-from homeward.lab.simulation.render.room.settings import HOME_TIME, RenderScenario
+from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.lab.simulation.render.scene import RoomScene, build_scene
 from homeward.lab.simulation.render.shading.picture import (
     NOTHING,
@@ -49,12 +48,11 @@ ROBOT_RADIUS = 0.15
 class Eye:
     """Camera of a scenario; the same scenario always gives the same images.
 
-    The scenario is furnished if necessary. Raises `InputError` where the room has no place for its
-    contents, or home is in a box.
+    Raises `InputError` where home is in a box.
     """
 
     def __init__(self, scenario: RenderScenario) -> None:
-        self.scenario = furnished(scenario)
+        self.scenario = scenario
         self.then = build_scene(self.scenario, at_home=True)
         """The room when home was stored."""
         self.now = build_scene(self.scenario)
@@ -77,12 +75,11 @@ class Eye:
         robot = scenario.home.pose._replace(heading=scenario.home.heading + turned)
         view = self._view(compose(robot, mount), number)
         chance = self._chance(number)
-        return picture(self.then, view, HOME_TIME, scenario.camera, chance)
+        return picture(self.then, view, scenario.camera, chance)
 
     def home_truth(self) -> PixelTruth:
         """Return the ground truth of each pixel of the home image."""
-        scenario = self.scenario
-        return pixel_truth(self.then, self.home_view, HOME_TIME, scenario.camera)
+        return pixel_truth(self.then, self.home_view, self.scenario.camera)
 
     def view(self, robot: Pose, number: int) -> Viewpoint:
         """Return the viewpoint of image `number` (from 1) for a robot pose in the home frame."""
@@ -97,14 +94,14 @@ class Eye:
         centre = compose(self.scenario.home.pose, robot)
         if thing := self.now.blocked(centre.x, centre.y, ROBOT_RADIUS):
             raise InputError(
-                f"after {t:.1f} s the robot runs into {thing}; change the start, path or furniture"
+                f"after {t:.1f} s the robot runs into {thing}; change the start, path or boxes"
             )
         view = self.view(robot, number)
-        return picture(self.now, view, t, self.scenario.camera, self._chance(number))
+        return picture(self.now, view, self.scenario.camera, self._chance(number))
 
-    def truth(self, t: float, robot: Pose, number: int) -> PixelTruth:
+    def truth(self, robot: Pose, number: int) -> PixelTruth:
         """Return the ground truth of each pixel of an image."""
-        return pixel_truth(self.now, self.view(robot, number), t, self.scenario.camera)
+        return pixel_truth(self.now, self.view(robot, number), self.scenario.camera)
 
     def _view(self, camera: Pose, number: int) -> Viewpoint:
         settings = self.scenario.camera
@@ -213,8 +210,7 @@ def moved_boxes(eye: Eye) -> dict[str, bool]:
 
 def things_seen(eye: Eye, home: Features) -> list[str]:
     """Return the name of the object of each feature of the home image."""
-    camera, view = eye.scenario.camera, eye.home_view
-    surfaces, _ = eye.then.at(HOME_TIME, view)
+    camera, view, surfaces = eye.scenario.camera, eye.home_view, eye.then.surfaces
     tilt = tilt_matrix(camera.roll, camera.pitch)
     met = trace(surfaces, view, unit_vectors(home.azimuth, home.elevation) @ tilt).surface
     return [eye.then.things[i] for i in surfaces.thing[met].tolist()]

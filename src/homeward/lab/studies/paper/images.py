@@ -16,9 +16,8 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, between, compose, from_polar
 from homeward.lab.simulation.render.drive import Eye, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import points, trace
+from homeward.lab.simulation.render.room.boxes import with_boxes
 from homeward.lab.simulation.render.room.settings import (
-    HOME_TIME,
-    Furnish,
     RenderScenario,
     RoomCamera,
     Walls,
@@ -131,16 +130,16 @@ def _room(case: CaseName, settings: PaperSettings, seed: int) -> RenderScenario:
     """Return a square room with home in the middle, and the case's number of moved boxes."""
     R, theta, alpha = settings.printed.start_cm
     wanted, width = fault_count(case, settings), settings.images.width
-    return RenderScenario(
+    made = RenderScenario(
         name=f"case {case}",
         seed=seed,
         room=Walls(outline=((0, 0), (SIDE, 0), (SIDE, SIDE), (0, SIDE)), height=2.5),
-        furnish=Furnish(boxes=max(6, wanted), posters=6, moved=wanted, shift=(0.3, 0.9)),
         camera=RoomCamera(width=width, height=width // 4),
         home=RoomPose(x=SIDE / 2, y=SIDE / 2, heading=0.0),
         start=StartPose(R=R / 100, theta=theta, alpha=alpha, prior=False),
         trajectory=Homing(),
     )
+    return with_boxes(made, max(6, wanted), pictures=6, moved=wanted, shift=(0.3, 0.9))
 
 
 def _matched(compared: Comparison, now: Features) -> tuple[list[int], list[float]]:
@@ -180,7 +179,7 @@ def _choose(
 def _places(eye: Eye, home: Features, rows: np.ndarray) -> np.ndarray:
     """Return the landmark positions during the drive, (q, 2) in the home frame [m]."""
     view = eye.home_view
-    surfaces, _ = eye.then.at(HOME_TIME, view)
+    surfaces = eye.then.surfaces
     rays = unit_vectors(home.azimuth[rows], home.elevation[rows])
     hits = trace(surfaces, view, rays)
     found = points(hits, view, rays)

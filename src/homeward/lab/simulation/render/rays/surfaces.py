@@ -39,12 +39,6 @@ class Surfaces(Columns):
         out = np.cross(self.right, self.up)
         return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
-    def at(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return points (n, m, 3) at places a, b (m,) of each rectangle."""
-        return np.asarray(
-            self.corner[:, None] + a[:, None] * self.right[:, None] + b[:, None] * self.up[:, None]
-        )
-
 
 @dataclass(frozen=True)
 class Skin:

@@ -15,15 +15,13 @@ from homeward.io.checks import AfterValidator, Field
 from homeward.io.models import Strict, model_validator
 from homeward.io.reading import shipped_or_file
 from homeward.io.settings import read_settings
-from homeward.lab.simulation.scenario import ByPoints, Course, Interval, Point, Rates
+from homeward.lab.simulation.scenario import ByPoints, Course, Point, Rates
 from homeward.lab.simulation.simulate import changed_scenario, require_own_code
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring
 
 MIN_TILT_SIGMA = 0.002
 """Minimum tilt noise that a front-end assumes [rad]."""
-HOME_TIME = -100.0
-"""Time of the home image [s], which determines where movers were."""
 LENSES = {"pinhole": "plumb_bob", "fisheye": "equidistant"}
 RIM = 2.0
 """Distance of a ring from the image edge [px]."""
@@ -128,9 +126,7 @@ Length = Annotated[float, Field(ge=0.01, le=1000.0)]
 Where = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
-TextureName = Literal[
-    "plaster", "carpet", "wood", "tiles", "cardboard", "painted", "print", "cloth"
-]
+TextureName = Literal["plaster", "carpet", "wood", "tiles", "cardboard", "painted", "print"]
 Place = tuple[Where, Where]
 """x, y in room coordinates [m]."""
 
@@ -176,7 +172,7 @@ class Stand(Strict):
 
 
 class Box(Stand):
-    """A box: furniture, a package, a shelf on a wall."""
+    """A box: furniture, a package, a shelf or a picture on a wall."""
 
     size: tuple[Length, Length, Length]
     """Length, width, height [m]."""
@@ -189,46 +185,6 @@ class Box(Stand):
     def where(self, at_home: bool) -> Stand:
         """Return the pose during the drive, or when home was stored."""
         return self.stood if at_home and self.stood is not None else self
-
-
-class Poster(Strict):
-    """A picture on a wall."""
-
-    wall: Annotated[int, Field(ge=0)]
-    """From corner number `wall` of the anti-clockwise outline to the next."""
-    along: NonNegative
-    """From that corner to its middle [m]."""
-    height: Positive = 1.4
-    """Of its middle [m]."""
-    size: tuple[Length, Length] = (0.6, 0.8)
-    """Width, height [m]."""
-    texture: TextureName = "print"
-
-
-class Mover(Strict):
-    """A person who walks back and forth along a path."""
-
-    path: Annotated[tuple[Place, ...], Field(min_length=1, max_length=200)]
-    """Way points [m]; a single one for a static person."""
-    speed: NonNegative = 0.8
-    """[m/s]"""
-    size: tuple[Length, Length] = (0.45, 1.75)
-    """Width, height [m]."""
-    texture: TextureName = "cloth"
-
-
-class Furnish(Strict):
-    """Random objects, in addition to the listed ones."""
-
-    boxes: Annotated[int, Field(ge=0, le=100)] = 0
-    """Along the walls."""
-    posters: Annotated[int, Field(ge=0, le=100)] = 0
-    movers: Annotated[int, Field(ge=0, le=20)] = 0
-    """Each walks between two points near the walls."""
-    moved: Annotated[int, Field(ge=0, le=100)] = 0
-    """Number of boxes that were elsewhere when home was stored."""
-    shift: Interval = (0.4, 1.2)
-    """Distance from there, uniform [m]."""
 
 
 class Tags(Strict):
@@ -248,10 +204,7 @@ class RenderScenario(Course):
     """Settings of an image drive; the same scenario always gives the same images."""
 
     room: Walls
-    furnish: Furnish = Furnish()
     boxes: dict[str, Box] = {}
-    posters: dict[str, Poster] = {}
-    movers: dict[str, Mover] = {}
     tags: Tags | None = None
     camera: RoomCamera = RoomCamera()
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
@@ -275,22 +228,9 @@ class RenderScenario(Course):
         for i, (x, y) in enumerate(points):
             if not contains_xy(floor, x, y):
                 raise ValueError(f"trajectory.points.{i}: outside the room")
-        names = [*self.boxes, *self.posters, *self.movers, "floor", "ceiling"]
-        names += [f"wall {i}" for i in range(len(outline))]
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"{twice[0]!r}: name used twice; rename one")
-        sides = np.hypot(*(np.roll(outline, -1, axis=0) - outline).T)
-        for name, mover in self.movers.items():
-            if not contains_xy(floor, mover.path).all():
-                raise ValueError(f"movers.{name}: outside the room")
-        for name, on in self.posters.items():
-            half_width, half_height = on.size[0] / 2, on.size[1] / 2
-            if on.wall >= len(outline):
-                raise ValueError(f"posters.{name}.wall: the room has {len(outline)} walls")
-            if not half_width <= on.along <= sides[on.wall] - half_width:
-                raise ValueError(f"posters.{name}: extends beyond the wall")
-            if not half_height <= on.height <= self.room.height - half_height:
-                raise ValueError(f"posters.{name}: extends above the wall or below the floor")
+        names = ["floor", "ceiling", *(f"wall {i}" for i in range(len(outline)))]
+        if twice := [name for name in names if name in self.boxes]:
+            raise ValueError(f"boxes.{twice[0]}: the room has this name; rename the box")
         return self
 
 

@@ -1,4 +1,4 @@
-"""Images: ray intersections, textured, lit and exposed by a sensor."""
+"""Images: ray intersections, textured, and exposed by a sensor."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ MEAN_GREY = 115.0
 """Target mean of the exposure [grey levels of 255]."""
 
 
+CONTRAST = np.array([0.10, 0.16, 0.25])
+"""Change of brightness with the direction that a surface faces."""
 NOTHING = 65535
 """Object index of pixels without a ray."""
 
@@ -51,30 +53,27 @@ def rays_of(
     return np.moveaxis(np.moveaxis(vectors, -1, 0).astype(dtype, order="C"), 0, -1)
 
 
-def pixel_truth(scene: RoomScene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
+def pixel_truth(scene: RoomScene, view: Viewpoint, camera: RoomCamera) -> PixelTruth:
     """Return the exact ground truth of every pixel's centre, in double precision."""
     rays = rays_of(camera)
-    surfaces, _ = scene.at(t, view)
-    hits = trace(surfaces, view, rays)
-    thing = np.where(hits.surface >= 0, surfaces.thing[hits.surface], NOTHING)
+    hits = trace(scene.surfaces, view, rays)
+    thing = np.where(hits.surface >= 0, scene.surfaces.thing[hits.surface], NOTHING)
     return PixelTruth(points(hits, view, rays), hits.distance, thing)
 
 
 def picture(
     scene: RoomScene,
     view: Viewpoint,
-    t: float,
     camera: RoomCamera,
     rng: np.random.Generator | None = None,
 ) -> np.ndarray:
-    """Render the image at `t` [s] from a viewpoint: (height, width, 3), uint8, blue, green, red.
+    """Render the image from a viewpoint: (height, width, 3), uint8, blue, green, red.
 
     Noise and exposure are drawn with `rng`; None: without both.
     """
-    surfaces, light = scene.at(t, view)
-    rays = _samples(surfaces, view, camera)
-    colour = _textured(rays, surfaces, view, scene.atlas, camera.pixel_angle)
-    colour *= _grey(_lit(rays, surfaces, light))
+    rays = _samples(scene.surfaces, view, camera)
+    colour = _textured(rays, scene.surfaces, view, scene.atlas, camera.pixel_angle)
+    colour *= _grey(brightness(scene.surfaces).take(rays.surface))
     colour[rays.surface < 0] = 0.0
     seen = np.mean(rays.surface[: camera.width * camera.height] >= 0)
     return _exposed(_gathered(rays, colour, camera), camera, float(seen), rng)
@@ -168,16 +167,9 @@ def _level(rays: _Samples, surfaces: Surfaces, view: Viewpoint, step: float) -> 
     return np.asarray(level + constant.astype(np.float32).take(rays.surface))
 
 
-def _lit(rays: _Samples, surfaces: Surfaces, light: np.ndarray) -> np.ndarray:
-    """Return the light on each sample, float32."""
-    grid = light.shape[1]
-    scale = ((grid - 1) / surfaces.tiles).astype(np.float32)
-    first = -surfaces.offset * (grid - 1) / surfaces.tiles
-    first[:, 1] += grid * np.arange(len(first))
-    first = first.astype(np.float32)
-    x = rays.across * scale[:, 0].take(rays.surface) + first[:, 0].take(rays.surface)
-    y = rays.along * scale[:, 1].take(rays.surface) + first[:, 1].take(rays.surface)
-    return _looked_up(light.reshape(-1, grid), x, y)
+def brightness(surfaces: Surfaces) -> np.ndarray:
+    """Return the brightness of each surface (n,), float32, so that the edges of objects show."""
+    return np.asarray(1.0 + surfaces.normal @ CONTRAST, np.float32)
 
 
 def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

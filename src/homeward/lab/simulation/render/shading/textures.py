@@ -172,11 +172,6 @@ def _text(image: np.ndarray, rng: np.random.Generator, at: float) -> None:
         x += length + int(rng.integers(3, 5))
 
 
-def _cloth(rng: np.random.Generator) -> np.ndarray:
-    """Paint clothes: one colour in folds."""
-    return rng.uniform(0.1, 0.7, 3) + 0.06 * noise(rng, 2.0)[..., None]
-
-
 def _rectangle(
     image: np.ndarray,
     rng: np.random.Generator,
@@ -199,7 +194,6 @@ KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "cardboard": _cardboard,
     "painted": _painted,
     "print": _print,
-    "cloth": _cloth,
 }
 """Textures by name."""
 
