@@ -38,106 +38,36 @@ class Places:
         """(n, q), bool: line of sight; computed lazily, in a thread."""
         return self.floor.sees(self.places, self.marks)
 
-    def singles(self) -> tuple[np.ndarray, ...]:
+    def results(self) -> tuple[np.ndarray, ...]:
         """Return position, heading, common (n,), score (n,), and scores with one hidden (n, q)."""
         n, q = len(self.places), len(self.marks)
         position, heading = np.full(n, np.inf), np.full(n, np.inf)
         common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, q), np.inf)
         for h in range(len(self.arcs.headings)):
-            info = self._information(h, self.stored)
+            info = self.arcs.information(self.places, self.marks, self.visible, self.stored, h)
             fix = self.arcs.fix(info.every)
             common = np.maximum(common, info.count)
             better = fix.position < position
             position = np.where(better, fix.position, position)
             heading = np.where(better, fix.heading, heading)
-            score = np.minimum(score, self.arcs.score(fix, info.count))
-            hidden = np.minimum(hidden, self._without(info, info.seen))
+            here = self.arcs.score(fix, info.count)
+            score = np.minimum(score, here)
+            hidden = np.minimum(hidden, self._without_each(info, here))
         return position, heading, common, score, hidden
 
-    def pairs(self) -> tuple[np.ndarray, ...]:
-        """Return scores with one landmark moved (n, q), and where homing can begin without pairs.
-
-        These are (n, q, q) for each pair of hidden landmarks, and (n,) for all pairs.
-        """
-        n, q = len(self.places), len(self.marks)
-        best, moved = np.full((n, q, q), np.inf), np.full((n, q), np.inf)
-        upper = np.triu(np.ones((q, q), bool), 1)
-        for h in range(len(self.arcs.headings)):
-            info = self._information(h, self.stored)
-            one = self._without(info, info.seen)
-            # If one of the two is not in view, only the other one counts.
-            out = np.maximum(one[:, :, None], one[:, None, :])
-            place, i, j = np.nonzero(info.seen[:, :, None] & info.seen[:, None, :] & upper)
-            out[place, i, j] = out[place, j, i] = self._scores(info, place, [i, j])
-            best = np.minimum(best, out)
-            # A moved landmark still contributes information on the motion.
-            still = self._information(h, np.zeros_like(self.stored)).each
-            moved = np.minimum(moved, self._without(info, info.common, still))
-        begins = np.asarray(best <= 1)
-        return moved, begins, np.asarray(begins.reshape(n, -1).all(axis=1) & (q > 0))
-
-    def _information(self, h: int, stored: np.ndarray) -> Information:
-        return self.arcs.information(self.places, self.marks, self.visible, stored, h)
-
-    def _without(
-        self, info: Information, which: np.ndarray, still: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Return scores (n, q) without each landmark in `which`, with the information `still`."""
-        now = self.arcs.score(self.arcs.fix(info.every), info.count)
-        out = np.repeat(now[:, None], which.shape[1], axis=1)
-        place, mark = np.nonzero(which)
-        out[place, mark] = self._scores(info, place, [mark], still)
-        return out
-
-    def _scores(
-        self,
-        info: Information,
-        place: np.ndarray,
-        without: list[np.ndarray],
-        still: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Return scores at places (k,) without landmarks (k,), with the information `still`."""
-        scores = np.empty(place.size)
+    def _without_each(self, info: Information, score: np.ndarray) -> np.ndarray:
+        """Return scores (n, q) without each landmark, given those with all landmarks (n,)."""
+        out = np.repeat(score[:, None], len(self.marks), axis=1)
+        place, mark = np.nonzero(info.seen)
         for begin in range(0, place.size, SLICE):
-            part = slice(begin, begin + SLICE)
-            row = place[part]
-            information, left = info.every[row], info.count[row]
-            for mark in without:
-                information -= info.each[row, mark[part]]
-                left -= info.common[row, mark[part]]
-                if still is not None:
-                    information += still[row, mark[part]]
-            scores[part] = self.arcs.score(self.arcs.fix(information), left)
-        return scores
-
-
-def in_groups(
-    work: Callable[[Places], tuple[np.ndarray, ...]],
-    size: int,
-    arcs: Arcs,
-    floor: Floor,
-    places: np.ndarray,
-    marks: np.ndarray,
-    on_progress: Progress,
-) -> list[np.ndarray]:
-    """Apply `work` to groups of places (n, 2) on all cores; return the joined arrays."""
-    stored, found = home_sees(arcs.plan, floor, marks), []
-    parts = np.array_split(places, -(-len(places) // size))
-    groups = [Places(arcs, floor, part, marks, stored) for part in parts]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for k, answer in enumerate(pool.map(work, groups)):
-            found.append(answer)
-            on_progress((k + 1) / len(groups))
-    return [np.concatenate(part) for part in zip(*found, strict=True)]
+            row, hidden = place[begin : begin + SLICE], mark[begin : begin + SLICE]
+            fix = self.arcs.fix(info.every[row] - info.each[row, hidden])
+            out[row, hidden] = self.arcs.score(fix, info.count[row] - info.common[row, hidden])
+        return out
 
 
 CHUNK = 500
 """Number of places in a group."""
-SAMPLE = 1500
-"""Maximum number of evenly chosen places for hidden pairs and moved landmarks."""
-PAIR_WORK = 2_000_000
-"""Maximum number of hidden pairs at all places; `MIN_SAMPLE` places are used in any case."""
-MIN_SAMPLE = 100
 
 
 @dataclass(frozen=True)
@@ -165,14 +95,6 @@ class PlanView:
     """(n,)"""
     hidden: np.ndarray
     """(n, q), the score with one landmark hidden."""
-    sample: np.ndarray
-    """(m,), rows of the places of the following arrays."""
-    moved: np.ndarray
-    """(m, q), the score with one landmark known to have moved since home was stored."""
-    pair_share: np.ndarray
-    """(q, q), share of the sample where homing can begin with both hidden (diagonal: one)."""
-    pair_safe: np.ndarray
-    """(m,), bool: homing can begin there with any two landmarks hidden."""
 
     @property
     def begins(self) -> np.ndarray:
@@ -188,25 +110,17 @@ class PlanView:
 
 def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     """Analyse a plan; errors as `make_floor`."""
-    on_progress = progress or (lambda fraction: None)
-    floor, arcs = make_floor(plan), Arcs(plan)
-    places, marks = floor.points, plan.marks
-    position, heading, common, score, hidden = in_groups(
-        Places.singles, CHUNK, arcs, floor, places, marks, lambda f: on_progress(0.1 + 0.6 * f)
-    )
-    rows = _sample(arcs, common)
-    moved, begins, safe = in_groups(
-        Places.pairs,
-        CHUNK // 10,
-        arcs,
-        floor,
-        places[rows],
-        marks,
-        lambda f: on_progress(0.7 + 0.3 * f),
-    )
-    known = plan, floor, tuple(plan.landmarks), marks, home_sees(plan, floor, marks)
-    best = position, heading, common, score, hidden
-    return PlanView(*known, *best, rows, moved, begins.mean(axis=0), safe)
+    floor, arcs, marks = make_floor(plan), Arcs(plan), plan.marks
+    stored, found = home_sees(plan, floor, marks), []
+    parts = np.array_split(floor.points, -(-len(floor.points) // CHUNK))
+    groups = [Places(arcs, floor, part, marks, stored) for part in parts]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for k, result in enumerate(pool.map(Places.results, groups)):
+            found.append(result)
+            if progress is not None:
+                progress((k + 1) / len(groups))
+    joined = (np.concatenate(part) for part in zip(*found, strict=True))
+    return PlanView(plan, floor, tuple(plan.landmarks), marks, stored, *joined)
 
 
 @dataclass(frozen=True)
@@ -243,13 +157,6 @@ def analyse_start(plan: Plan, place: tuple[float, float]) -> StartView:
     check_place("--from", place, floor)
     marks = plan.marks
     places = Places(Arcs(plan), floor, np.array([place]), marks, home_sees(plan, floor, marks))
-    position, heading, common, score, hidden = (values[0] for values in places.singles())
+    position, heading, common, score, hidden = (values[0] for values in places.results())
     figures = float(position), float(heading), int(common), float(score)
     return StartView(plan, place, *figures, hidden)
-
-
-def _sample(arcs: Arcs, common: np.ndarray) -> np.ndarray:
-    """Return the places for hidden pairs."""
-    work = float((common.astype(float) ** 2).mean()) / 2 * len(arcs.headings)
-    number = min(SAMPLE, max(MIN_SAMPLE, int(PAIR_WORK / max(work, 1.0))))
-    return np.unique(np.linspace(0, common.size - 1, min(common.size, number)).astype(int))

@@ -273,7 +273,7 @@ def _trouble(view: PlanView) -> str:
 
 
 def _worst(view: PlanView) -> list[str]:
-    """Return the effect of one or two hidden landmarks."""
+    """Return the effect of a hidden landmark."""
     all_in_place = float(view.begins.mean())
     safe = float(view.safe.mean())
     parts = [f"With any one landmark hidden, {words.percent(safe)} remain."]
@@ -284,31 +284,13 @@ def _worst(view: PlanView) -> list[str]:
             f"The most important landmark is {words.name(view.names[costly[0]])}: without it,"
             f" {words.percent(kept)} instead of {words.percent(all_in_place)}."
         )
-    pair = worst_pairs(view, 1)
-    if pair:
-        i, j, share = pair[0]
-        parts.append(
-            f"The most important two are {words.name(view.names[i])} and"
-            f" {words.name(view.names[j])}:"
-            f" without both, {words.percent(share)}."
-        )
     return parts
-
-
-def worst_pairs(view: PlanView, most: int) -> list[tuple[int, int, float]]:
-    """Return pairs of landmarks, and the share of the floor that remains without both."""
-    q = len(view.names)
-    pairs = [(i, j, float(view.pair_share[i, j])) for i in range(q) for j in range(i)]
-    whole = float(view.begins[view.sample].mean())
-    return sorted((p for p in pairs if p[2] < whole), key=lambda p: p[2])[:most]
 
 
 SETTINGS_FILE = "plan.yaml"
 """The plan; written last, so that it marks the folder as complete output."""
 TEXTS = html.texts("homeward.lab.report")["plan"]
 PAGE = "plan.html"
-PAIRS = 8
-"""Number of pairs in the table."""
 
 
 def write_plan(directory: Path, view: PlanView) -> None:
@@ -360,30 +342,21 @@ def _headline(view: PlanView) -> dict[str, str]:
     return {
         "homing can begin": words.percent(float(begins.mean())),
         "with any one hidden": words.percent(float(view.safe.mean())),
-        "with any two hidden": words.percent(float(view.pair_safe.mean())),
         "a moved one is detected": words.percent(float((begins & (common >= 4)).mean())),
         "and identified": words.percent(float((begins & (common >= 5)).mean())),
     }
 
 
 def _importance(view: PlanView) -> list[Markup]:
-    """Return the tables of what hidden and moved landmarks cost; nothing without landmarks."""
+    """Return the table of what hidden landmarks cost; nothing without landmarks."""
     if not view.names:
         return []
-    head = ["Landmark", "hidden: homing can begin from", "moved since home was stored", ""]
-    rows = [head]
-    for i in sorted(range(len(view.names)), key=lambda i: float((view.hidden[:, i] <= 1).mean())):
-        # Both from the same places, so that they are comparable.
-        shares = view.hidden[view.sample, i], view.moved[:, i]
-        cells = (f"{100 * float((share <= 1).mean()):.1f} %" for share in shares)
+    rows = [["Landmark", "hidden: homing can begin from", ""]]
+    kept = (view.hidden <= 1).mean(axis=0)
+    for i in np.argsort(kept, kind="stable").tolist():
         seen = "" if view.stored[i] else "not visible from home"
-        rows.append([words.name(view.names[i], 60), *cells, seen])
-    pairs = [["Most important pairs", "", "homing can begin from"]]
-    for i, j, share in worst_pairs(view, PAIRS):
-        names = (words.name(view.names[k], 60) for k in (j, i))
-        pairs.append([*names, f"{100 * share:.1f} %"])
-    text = TEXTS["importance"].format(len(view.sample), len(view.position))
-    return [html.table("wrrl", rows), html.table("wwr", pairs), html.note(text)]
+        rows.append([words.name(view.names[i], 60), f"{100 * kept[i]:.1f} %", seen])
+    return [html.table("wrl", rows), html.note(TEXTS["importance"])]
 
 
 def _assumptions(view: PlanView) -> str:
