@@ -343,11 +343,14 @@ class Run:
                 print(f"{push.landmark}: no {words} of a second robot")
                 continue
             (_, first), (since, second), *_ = times
-            after = [max(push.known.get(i, math.inf) - since, 0) for i in right - {first, second}]
+            pair = first, second
+            after = [max(push.known.get(i, math.inf) - since, 0) for i in right.difference(pair)]
             delays += after
             print(
                 f"{push.landmark} pushed at {push.at:.0f} s, {words} of a second robot at"
-                f" {since:.1f} s, had by the others: median {np.median(after):.1f} s, worst"
+                f" {since:.1f} s, in the maps of the first two"
+                f" {' and '.join(f'{push.known.get(i, math.inf) - since:.1f}' for i in pair)} s"
+                f" later, had by the others: median {np.median(after):.1f} s, worst"
                 f" {max(after):.1f} s"
             )
         if delays:

@@ -16,7 +16,7 @@ from fleet_rig import kept, linked, merging, pushed, visited
 from visited import new_place, room
 
 from homeward.errors import InputError
-from homeward.live.fleet import kept_visits
+from homeward.live.fleet import kept_visits, merger
 from homeward.live.fleet import merging as deciding
 from homeward.live.fleet import robot as fleet_robot
 from homeward.live.fleet.connection import Broker, Connection
@@ -109,41 +109,89 @@ def test_broker_and_merger_that_are_killed_lose_nothing_acknowledged(broker, fol
     assert {v.drive for v in load_place(folder).visits} == {"first", "a a1", "b b1"}
 
 
-def test_a_full_disk_is_reported_once_and_ends_nothing(broker, folder, monkeypatch):
+class ShiftedTime:
+    """The module `time` with clocks that are ahead."""
+
+    sleep, thread_time = time.sleep, time.thread_time
+
+    def __init__(self, wall=0.0, monotonic=0.0):
+        self.shifts = wall, monotonic
+
+    def time(self):
+        return time.time() + self.shifts[0]
+
+    def monotonic(self):
+        return time.monotonic() + self.shifts[1]
+
+
+HOUR, DAY = 3600.0, 86400.0
+
+
+def test_a_disk_that_is_full_for_an_hour_is_reported_once_and_ends_nothing(
+    broker, folder, monkeypatch
+):
+    clock = ShiftedTime()
+    monkeypatch.setattr(merger, "time", clock)
+
     def full(path, _):
         raise InputError("cannot be written: No space left on device", path)
 
     with merging(broker.url, folder) as running, linked(broker.url, "a", "b") as (a, b):
         with monkeypatch.context() as patch:
             patch.setattr(kept_visits, "write_whole", full)
-            for seed in range(3):
-                a.share(visited("a1", room(), seed))
-                time.sleep(0.3)
+            for minute in range(0, 60, 10):
+                clock.shifts = 60.0 * minute, 60.0 * minute
+                a.share(visited("a1", room(), minute))
+                time.sleep(0.2)
             assert not kept(a)
             assert sum("No space" in line for line in running.log) == 1
+        clock.shifts = HOUR, HOUR
         wait(lambda: kept(a))
         with monkeypatch.context() as patch:
             patch.setattr(deciding.files, "update_place", lambda path, _: full(path, _))
             a.share(visited("a1", room(), 4, ended=True))
             time.sleep(0.5)
+            clock.shifts = 2.0 * HOUR, 2.0 * HOUR
         assert "20 stayed" in b.finish(visited("b1", room(), 5, ended=True))
         wait(lambda: len(load_place(folder).visits) == 3)
         wait(lambda: not a._outbox)
 
 
-@pytest.mark.parametrize("step", [3600.0, -3600.0, 86400.0, -86400.0])
-def test_a_clock_that_is_set_ends_nothing(broker, folder, monkeypatch, step):
+@pytest.mark.parametrize("step", [HOUR, -HOUR, DAY, -DAY])
+@pytest.mark.parametrize("whose", [(merger,), (fleet_robot,), (merger, fleet_robot)])
+def test_a_clock_that_is_set_ends_nothing(broker, folder, monkeypatch, step, whose):
+    """That of the merger, of all robots, or of all."""
     with merging(broker.url, folder), linked(broker.url, "a", "b", "c") as (a, b, c):
         a.share(visited("a1", pushed(room(), "L3")))
         wait(lambda: kept(a) and c.places)
-        real = time.time
-        monkeypatch.setattr(time, "time", lambda: real() + step)
+        for module in whose:
+            monkeypatch.setattr(module, "time", ShiftedTime(step))
         time.sleep(0.3)
         assert len(load_place(folder).visits) == 1
         b.share(visited("b1", pushed(room(), "L3"), 2))
         wait(lambda: abs(c.places[-1].map.sigmas[3]) < 0.3)  # confirmed
         assert "1 moved (L3)" in a.finish(visited("a1", pushed(room(), "L3"), 3, ended=True))
         assert "stayed" in b.finish(visited("b1", pushed(room(), "L3"), 4, ended=True))
+        with linked(broker.url, "late") as (late,):
+            wait(lambda: "L3" in late._place.map.names)
+
+
+def test_a_merger_that_is_slower_than_the_versions_of_a_robot_is_not_lost(
+    broker, folder, monkeypatch
+):
+    monkeypatch.setattr(fleet_robot, "TIMEOUT_S", 0.8)
+    monkeypatch.setattr(merger, "IDLE_S", 0.3)
+    with merging(broker.url, folder) as running, linked(broker.url, "a") as (a,):
+        running.merger._news = threading.Event()  # nothing wakes it
+        for seed in range(30):
+            a.share(visited("a1", room(), seed))
+            time.sleep(0.05)
+        assert a.events == []
+        running.end()
+        for seed in range(30, 60):
+            a.share(visited("a1", room(), seed))
+            time.sleep(0.05)
+        assert "no acknowledgement" in "".join(a.events)
 
 
 def test_messages_may_be_slow_out_of_order_and_repeated(broker, folder):

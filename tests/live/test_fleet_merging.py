@@ -17,7 +17,7 @@ from homeward.errors import InputError
 from homeward.estimator import Estimate, Innovation, Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.live.fleet import robot as fleet_robot
-from homeward.live.fleet.changes import with_changes
+from homeward.live.fleet.changes import difference, is_same, with_changes
 from homeward.live.fleet.fits import Fits
 from homeward.live.fleet.merging import (
     CONFIRM_S,
@@ -106,6 +106,25 @@ def test_a_visit_that_grows_counts_once(folder, shared):
     add(shared, "a", room(), 5.0, seed=5)
     assert not shared.visits
     assert newest(folder) == 2
+
+
+@pytest.mark.parametrize(
+    ("variance", "different"), [(0.0, {"L3": "moved", "L20": "new"}), (0.01, None)]
+)
+def test_a_merge_is_a_difference_of_maps_where_the_others_stayed(folder, variance, different):
+    """A map that was too uncertain is sent again as a whole."""
+    place = load_place(folder)
+    save_place(replace(place, map=place.map.aged(variance)), folder)
+    shared = opened(folder)
+    before = shared.place
+    for robot in "ab":
+        places = pushed(room(), "L3") | {"L20": np.zeros(2)}
+        add(shared, robot, places, 1.0, seed=ord(robot), ended=robot == "a")
+    assert [robot for robot, *_ in shared.settle(1.0)] == ["a"]
+    found = difference(before, shared.place, "merger", 1.0)
+    assert (found and {c.landmark: c.what for c in found}) == different
+    if found:
+        assert is_same(with_changes(before, found, "d", 1.0), shared.place)
 
 
 def test_a_visit_ends_when_its_robot_begins_another_one(folder, shared):

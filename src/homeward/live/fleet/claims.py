@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.geometry.frames import position_sigma
-from homeward.live.fleet.changes import spread
+from homeward.live.fleet.changes import part, placed, spread
 from homeward.live.fleet.messages import Placed
 from homeward.localizer.tunables import INLIER
-from homeward.places.joint_map import JointMap, datum
+from homeward.places.joint_map import datum
 from homeward.places.place import Place
 from homeward.places.views import Views
 from homeward.places.visit_data import VisitData
@@ -43,38 +43,22 @@ class Claim:
 def claims_of(place: Place, data: VisitData, now: float) -> dict[str, Claim] | None:
     """Return the claims of a visit by landmark; None if it contradicts the place."""
     viewed = data.frames.passed if isinstance(data.frames, Views) else {}
-    local = _part(place, {*data.map.names, *viewed})
+    local = part(place, {*data.map.names, *viewed})
     after = with_visit(local, replace(data, homes={}, routes={}))
     if after.visits[-1].verdict == "apart":
         return None
     events = (e for e in after.events if e.visit >= local.next_visit)
     what = {e.landmark: "gone" if e.what == "forgotten" else e.what for e in events}
     stayed = [n for n in local.map.names if n in after.persistence and n not in what]
-    placed = [n for n in what if n in data.map.names and n in after.persistence]
+    mapped = [n for n in what if n in data.map.names and n in after.persistence]
     pose = datum(local.map.marginal(stayed, ()), after.map.marginal(stayed, ()), stayed)
-    there = after.map.marginal(placed, ()).in_frame_of(pose, np.zeros((3, 3)))
-    at = _positions(there)
-    was = _positions(local.map.marginal([n for n in placed if what[n] == "moved"], ()))
+    there = after.map.marginal(mapped, ()).in_frame_of(pose, np.zeros((3, 3)))
+    at = placed(there)
+    was = placed(local.map.marginal([n for n in mapped if what[n] == "moved"], ()))
     grouped = _moved_rigidly(was, at, place.together)  # not by its own groups
     return {
         n: Claim(w, at.get(n) if w != "gone" else None, now, n in grouped) for n, w in what.items()
     }
-
-
-def _part(place: Place, names: Collection[str]) -> Place:
-    """Return a place with some of its landmarks."""
-    kept = [n for n in place.map.names if n in names]
-    persistence = {n: place.persistence[n] for n in kept}
-    return replace(place, map=place.map.marginal(kept), persistence=persistence)
-
-
-def _positions(joint: JointMap) -> dict[str, Placed]:
-    """Return the positions of the landmarks of a map and their covariances."""
-    found = {}
-    for k, (name, (x, y)) in enumerate(zip(joint.names, joint.positions.tolist(), strict=True)):
-        (xx, xy), (_, yy) = joint.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2].tolist()
-        found[name] = x, y, xx, xy, yy
-    return found
 
 
 def _moved_rigidly(
@@ -135,6 +119,6 @@ def with_visit(place: Place, data: VisitData) -> Place:
     routes = {n: route for n, route in data.routes.items() if n not in place.routes}
     after = merged(place, replace(data, homes=homes, routes=routes))
     changed = {e.landmark for e in after.events if e.visit >= place.next_visit}
-    was, now = _positions(place.map), _positions(after.map)
+    was, now = placed(place.map), placed(after.map)
     agree = [_agree(was[n], now[n]) for n in was.keys() & now.keys() - changed]
     return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)

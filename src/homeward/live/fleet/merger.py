@@ -15,6 +15,7 @@ from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.reading import naming, opened, read_small
 from homeward.io.settings import parsed
 from homeward.io.writing import write_whole
+from homeward.live.fleet.changes import difference, is_same_news
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.merging import LIVE, QUARANTINED, SharedPlace
 from homeward.live.fleet.messages import Ack, Change, Changes, parse_visit, place_content
@@ -45,8 +46,6 @@ RETRY_S = 5.0
 TAKEOVER_S = 5.0
 """In this time after its start, a merger replaces the one that it finds [s]."""
 MAX_ROBOTS = 200
-SAME_M = 0.03
-"""Changes of positions up to this distance are not published [m]."""
 
 
 class Merger:
@@ -70,6 +69,9 @@ class Merger:
         self._is_stale = True
         """Whether everything has to be published, after the connection was made."""
         self._place: Place | None = None
+        self._map: Place | None = None
+        """The map that is published, and its difference from `_place`: ..."""
+        self._merged: tuple[Change, ...] = ()
         self._changes: tuple[Change, ...] = ()
         self._version, self._num_versions = "", 0
         self._parts: dict[str, tuple[str, ...]] = {MAP: (), CHANGE: ()}
@@ -264,21 +266,32 @@ class Merger:
         self._connection.publish(f"{ACK}/{robot}", line_of(ack).encode())
 
     def _publish(self) -> None:
-        """Publish the map and the changes, if they are new, and then the manifest."""
+        """Publish the map, if it is new, and the changes, and then the manifest.
+
+        A place after a merge is published as the difference from the map that was published, if
+        landmarks are where that has them, and as a map otherwise.
+        """
         assert self._connection is not None
-        place, changes = self._shared.place, self._shared.changes(time.monotonic())
+        when, shared = time.time() / DAY_S, self._shared
+        place, changes = shared.place, shared.changes(time.monotonic())
         is_stale, self._is_stale = self._is_stale, False
-        if is_new := place is not self._place:
+        if is_merged := place is not self._place:
+            merged = self._map and difference(self._map, place, self._broker.user, when)
+            self._place, self._merged = place, merged or ()
+        if is_new := is_merged and merged is None:
+            self._map = place
             self._left.append((self._version, len(self._parts[MAP])))
             self._num_versions += 1
             self._version = f"{self._epoch}-{self._num_versions}-{self._name}"
+        assert self._map is not None
         if is_new or is_stale:
-            self._parts[MAP] = self._connection.send(f"{MAP}/{self._version}", place_content(place))
-        if not is_new and not is_stale and _is_same(self._changes, changes):
+            content = place_content(self._map)
+            self._parts[MAP] = self._connection.send(f"{MAP}/{self._version}", content)
+        elif not is_merged and is_same_news(place, self._changes, changes, when):
             return
-        content = line_of(Changes(changes=changes)).encode()
+        self._changes = changes
+        content = line_of(Changes(merged=self._merged, changes=changes)).encode()
         self._parts[CHANGE] = self._connection.send(CHANGE, content, len(self._parts[CHANGE]))
-        self._place, self._changes = place, changes
         manifest = PlaceManifest(
             epoch=self._epoch,
             merger=self._name,
@@ -291,16 +304,3 @@ class Merger:
             version, number = self._left.pop()
             for part in range(number):
                 self._connection.publish(f"{MAP}/{version}/{part}", b"")
-
-
-def _is_same(before: Sequence[Change], now: Sequence[Change]) -> bool:
-    """Return whether changes are the same, at about the same positions."""
-    was, are = (
-        {
-            (c.landmark, c.what, c.confirmed, robot, at is None): (at or (0.0, 0.0))[:2]
-            for c in changes
-            for robot, at in c.by.items()
-        }
-        for changes in (before, now)
-    )
-    return was.keys() == are.keys() and all(math.dist(was[k], are[k]) < SAME_M for k in was)

@@ -140,8 +140,9 @@ class Change(Strict):
 
 
 class Changes(Strict):
-    """All changes since the map was published."""
+    """All changes since the map was published, by visits that are merged and by others."""
 
+    merged: tuple[Change, ...] = ()
     changes: tuple[Change, ...] = ()
 
 

@@ -21,7 +21,7 @@ from homeward.geometry.se2 import compose
 from homeward.io.settings import parsed
 from homeward.io.table import quoted
 from homeward.io.writing import state_folder
-from homeward.live.fleet.changes import doubtful, is_same, with_changes
+from homeward.live.fleet.changes import change_words, doubtful, is_same, with_changes
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.fits import Fits
 from homeward.live.fleet.kept_visits import KeptVisits
@@ -57,7 +57,6 @@ from homeward.localizer.localizer import Localizer
 from homeward.places.place import DAY_S, Place
 from homeward.places.views import Views
 from homeward.places.visit_data import VisitData, fingerprint, own_map
-from homeward.runs.report.words import count, listing
 
 SHARE_S, CHANGE_S = 3.0, 1.0
 """Interval at which a robot sends its visit, and that in the `SHARE_S` after a change of its map
@@ -94,6 +93,7 @@ class RobotLink:
         self._sent: VisitMessage | None = None
         self._sent_at, self._num_parts = math.inf, MAX_VISIT_PARTS
         self._number, self._results = int(time.time()), dict[str, str]()
+        self._last_ack: Ack | None = None
         self._manifest: PlaceManifest | None = None
         self._parts = Parts(2 * MAX_MAP_PARTS)
         self._map: tuple[str, Place] | None = None
@@ -200,8 +200,9 @@ class RobotLink:
         # Of this version, and of the next one.
         self._parts.keep_last(2 * len(manifest.map_parts + manifest.change_parts) + 8)
         found: Changes = parsed(Changes, changes)
-        when = time.time() / DAY_S
-        place = with_changes(self._map[1], found.changes, self._robot, when)
+        place, when = self._map[1], time.time() / DAY_S
+        for some in (found.merged, found.changes):
+            place = with_changes(place, some, self._robot, when)
         if (before := self._place) is not None and is_same(before, place):
             return
         with self._news:
@@ -213,10 +214,14 @@ class RobotLink:
     def _acknowledge(self, ack: Ack) -> None:
         with self._news:
             visit, epoch = self._outbox.get(ack.visit), self._manifest and self._manifest.epoch
-            if visit is None or ack.number < visit.number or ack.epoch < (epoch or 0):
+            if visit is None or ack.epoch < (epoch or 0):
                 return
-            self._sent_at = math.inf
-            if ack.ended:
+            is_newest = ack.number >= visit.number
+            if not is_newest and ack == self._last_ack:  # retained by the broker
+                return
+            self._last_ack = ack
+            self._sent_at = math.inf if is_newest else time.monotonic()
+            if ack.ended and is_newest:
                 del self._outbox[ack.visit]
                 self._kept.remove(ack.visit)
                 self._results[ack.visit] = ack.text
@@ -225,7 +230,7 @@ class RobotLink:
         if self._is_lost:
             self._is_lost = False
             self.on_event("the visit is merged again", False)
-        if ack.text:
+        if ack.text and is_newest:
             self.on_event(ack.text, ack.is_error)
 
 
@@ -257,7 +262,7 @@ class SharedPlaceSession(PlaceSession):
         for problem in self._link.problems:
             self._notify(problem, True)
         if self._latest is not self.place:
-            self._notify(_change_words(self._link.first, self._latest), False)
+            self._notify(change_words(self._link.first, self._latest), False)
 
     def adopt(self) -> Place:
         """Use the newest place of the fleet from now on, and return it."""
@@ -330,28 +335,10 @@ class SharedPlaceSession(PlaceSession):
 
     def _receive(self, place: Place) -> None:
         before, self._latest = self._latest, place
-        self._notify(_change_words(before, place), False)
+        self._notify(change_words(before, place), False)
 
     def _notify(self, text: str, is_error: bool) -> None:
         self._subscriber(PlaceChanged(text=text, is_error=is_error))
-
-
-def _change_words(before: Place, now: Place) -> str:
-    """Describe what other robots changed in a place."""
-    was, is_at = (dict(zip(p.map.names, p.map.positions, strict=True)) for p in (before, now))
-    sigmas = (dict(zip(p.map.names, p.map.sigmas.tolist(), strict=True)) for p in (before, now))
-    (wide, sharp), both = sigmas, [n for n in was if n in is_at]
-    limits = {n: max(5.0 * min(wide[n], sharp[n]), 0.05) for n in both}  # suspected ones are wide
-    changes = {
-        "moved": [n for n in both if np.hypot(*(is_at[n] - was[n])) > limits[n]],
-        "new": [n for n in is_at if n not in was],
-        "removed": [n for n in was if n not in is_at],
-    }
-    words = [
-        f"{len(names)} {what} ({listing(names, 8)})" for what, names in changes.items() if names
-    ]
-    counted = count(len(is_at), "landmark")
-    return f"place {quoted(now.name)} updated: {listing([*words, counted])}"
 
 
 def join_place(where: str, update: bool, estimator: str, broker: Broker | None) -> PlaceSession:
