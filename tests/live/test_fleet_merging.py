@@ -288,15 +288,29 @@ def test_a_robot_cannot_declare_the_group_that_it_moves_as_one_box(shared):
     assert shared.place.together == ()
 
 
-def test_a_vague_position_does_not_confirm_a_distant_one(shared):
-    far = pushed(room(), "L3", by=3.0 * PUSH)
-    add(shared, "liar", far, 1.0)
-    own = visit_of(visited("v1", pushed(room(), "L3"), 2), 1.0)
-    more = np.diag([0.04 if n == "L3" else 0.0 for n in own.map.names for _ in range(2)])
+def without_parallax(places, name, sigma, by):
+    """A visit whose position of a landmark is `by` away in a direction that PUSH has no part of."""
+    side = np.array([-PUSH[1], PUSH[0]]) / math.hypot(*PUSH)
+    own = visit_of(visited("v1", pushed(places, name, by=by * side), 2), 1.0)
+    c, s = math.cos(2.5), math.sin(2.5)  # the heading of the frame of `visited`
+    more, rows = np.zeros_like(own.map.covariance), own.map.columns([name])
+    along = np.array([[c, s], [-s, c]]) @ side
+    more[np.ix_(rows, rows)] = sigma**2 * np.outer(along, along)
     wide = replace(own, map=replace(own.map, covariance=own.map.covariance + more))
-    message = visit_message(wide, Views(), dict.fromkeys(room(), 1.0), "home", False)
-    shared.add("b", message, 2.0, 1.0)
-    assert not found(shared, 2.0).get("L3", ("", False, []))[1]
+    return visit_message(wide, Views(), dict.fromkeys(room(), 1.0), "home", False)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "by", "confirmed"), [(0.2, 0.2, True), (0.2, 0.5, False), (0.4, 0.7, True)]
+)
+def test_a_position_confirms_a_near_one_and_a_vague_one_that_it_moved(shared, sigma, by, confirmed):
+    """A position without parallax is no more than a doubt of the old one."""
+    add(shared, "a", pushed(room(), "L3"), 1.0)
+    shared.add("b", without_parallax(pushed(room(), "L3"), "L3", sigma, by), 2.0, 1.0)
+    assert shared.visits["b", "v1"].claims["L3"].what == "moved"
+    assert found(shared, 2.0)["L3"][1] is confirmed
+    if confirmed:
+        assert off(seen_by(shared, "c", 2.0), "L3", pushed(room(), "L3"))[0] < 0.1
 
 
 def test_a_robot_that_lies_again_and_again_does_not_win_against_three(folder, shared):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from homeward.geometry.frames import Twist
@@ -26,17 +27,32 @@ class Fault(NamedTuple):
     """The measured quantity, in the unit of the limit in the reason."""
 
 
-class Debounced:
-    """Condition that stays active until it has been absent for `CLEARED_S`."""
+class FaultCheck(NamedTuple):
+    """One row in the table of faults of a session."""
+
+    fault: Fault
+    is_present: bool
+    lasts: bool = True
+    """Whether the fault lasts until its cause has been absent for `CLEARED_S`."""
+
+
+class Faults:
+    """Faults of a table of checks that are active: present, or present just before."""
 
     def __init__(self) -> None:
-        self._last = -math.inf
+        self._last: dict[str, float] = {}
+        """When each lasting fault was last present [s], by reason."""
 
-    def is_active(self, present: bool, now: float) -> bool:
-        """Return whether the condition is active at `now` [s], given whether it is present."""
-        if present:
-            self._last = max(self._last, now)
-        return present or self._last <= now < self._last + CLEARED_S
+    def active(self, checks: Iterable[FaultCheck], now: float) -> tuple[Fault, ...]:
+        """Return the active faults at `now` [s], in the order of the checks."""
+        found = dict[str, Fault]()
+        for fault, is_present, lasts in checks:
+            last = self._last.get(fault.reason, -math.inf)
+            if is_present and lasts:
+                self._last[fault.reason] = max(last, now)
+            if is_present or last <= now < last + CLEARED_S:
+                found.setdefault(fault.reason, fault)
+        return tuple(found.values())
 
 
 class Blind(NamedTuple):
@@ -94,7 +110,6 @@ class Watchdog:
         self.newest = -math.inf
         """Newest stamp [s], on a clock that is never set back."""
         self._heard = -math.inf
-        self._silent = Debounced()
 
     def record(self, t: float, now: float) -> float:
         """Record a sample with stamp `t` [s], received at `now` [s] on a steady clock.
@@ -106,11 +121,9 @@ class Watchdog:
             self.newest, self._heard = t, now
         return t
 
-    def fault(self, now: float) -> Fault | None:
-        """Return the fault at `now` [s]; its value is the time since the last sample [s]."""
+    def check(self, now: float) -> FaultCheck:
+        """Return the check at `now` [s]; the value is the time since the last sample [s]."""
         if self._heard == -math.inf:
-            return Fault(f"no {self._what} yet")
-        silent = now - self._heard
-        if not self._silent.is_active(silent > self._timeout, now):
-            return None
-        return Fault(f"no {self._what} for more than {self._timeout:g} s", silent)
+            return FaultCheck(Fault(f"no {self._what} yet"), True, lasts=False)
+        silent, words = now - self._heard, f"no {self._what} for more than {self._timeout:g} s"
+        return FaultCheck(Fault(words, silent), silent > self._timeout)

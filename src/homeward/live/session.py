@@ -16,7 +16,15 @@ from collections.abc import Callable, Iterator
 
 from homeward.control.driver import Driver
 from homeward.control.goals import STAND, Belief, Goal, GoalState, TurnGoal
-from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, StampGate, Watchdog
+from homeward.control.watchdog import (
+    Blind,
+    FaultCheck,
+    DrivingTime,
+    Fault,
+    Faults,
+    StampGate,
+    Watchdog,
+)
 from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import NO_BEARINGS_S, Status, takes_sideways
@@ -74,9 +82,7 @@ class Session:
         self._gate, self._twists = StampGate(), TwistHistory()
         self._odometry = Watchdog("odometry", settings.odometry_timeout, clock)
         self._bearings = Watchdog("bearings", settings.bearings_timeout, clock)
-        self._lags = {"bearings": Debounced(), "answers": Debounced()}
-        self._frozen = FrozenCameras(robot)
-        self._is_frozen, self._is_blind = Debounced(), Debounced()
+        self._frozen, self._faults = FrozenCameras(robot), Faults()
         self._unseen = DrivingTime(0.0)
         """Since a landmark was in view of a camera that is not frozen."""
         self._heading_seen = 0.0
@@ -109,7 +115,7 @@ class Session:
         self._watchers.append(watcher)
 
     def receive(self, message: msg.Input, now: float, sender: object = None) -> None:
-        """Check a message and queue it for `process`. Fast.
+        """FaultCheck a message and queue it for `process`. Fast.
 
         If the queue is full, a message of the sender with the most of them is dropped.
         `InputError` at the release of an emergency stop of another sender. `InternalError` at any
@@ -283,38 +289,38 @@ class Session:
 
     def faults(self, now: float) -> tuple[Fault, ...]:
         """Return the reasons for which the robot must not drive."""
-        settings, found = self.settings, list[Fault]()
-        if self._stops:
-            found.append(Fault("emergency stop"))
+        return self._faults.active(self._checks(now), now)
+
+    def _checks(self, now: float) -> Iterator[FaultCheck]:
+        """Yield the table of faults, the most important one first."""
+        settings, newest = self.settings, self._odometry.newest
+        yield FaultCheck(Fault("emergency stop"), bool(self._stops), lasts=False)
         if self._obstacle is not None:
             (distance, since), minimum = self._obstacle, settings.limits.obstacle_distance
-            if now - since > settings.odometry_timeout:
-                words = f"no obstacle message for more than {settings.odometry_timeout:g} s"
-                found.append(Fault(words, now - since))
-            elif distance < minimum:
-                found.append(Fault(f"blocked: an obstacle nearer than {minimum:g} m", distance))
-        found += [f for w in (self._odometry, self._bearings) if (f := w.fault(now))]
-        newest = self._odometry.newest
+            words = f"no obstacle message for more than {settings.odometry_timeout:g} s"
+            yield FaultCheck(Fault(words, now - since), now - since > settings.odometry_timeout)
+            words = f"blocked: an obstacle nearer than {minimum:g} m"
+            yield FaultCheck(Fault(words, distance), distance < minimum)
+        yield from (watchdog.check(now) for watchdog in (self._odometry, self._bearings))
         for what, t in (("bearings", self._bearings.newest), ("answers", self._answered)):
             lag = newest - t if math.isfinite(newest) else 0.0
-            if self._lags[what].is_active(lag > settings.largest_lag, now):
-                words = f"{what} are more than {settings.largest_lag:g} s behind odometry"
-                seen = math.isfinite(t)
-                found.append(Fault(words, lag) if seen else Fault(f"no {what} yet"))
-        if self._is_frozen.is_active(self._frozen.is_frozen, now):
-            found.append(Fault(Reason.FROZEN.words))
-        return tuple(dict.fromkeys(found))
+            fault = Fault(f"{what} are more than {settings.largest_lag:g} s behind odometry", lag)
+            is_known = math.isfinite(t)
+            is_late = lag > settings.largest_lag
+            yield FaultCheck(fault if is_known else Fault(f"no {what} yet"), is_late, is_known)
+        yield FaultCheck(Fault(Reason.FROZEN.words), self._frozen.is_frozen)
 
     def _blind(self, now: float) -> Blind | None:
         """Return the fault that the robot drove too long without a landmark in view, if it did."""
         limit = self.settings.limits.coast
         if self._is_calibrated:  # localised by odometry for a time, and not localised for `coast`
             limit += NO_BEARINGS_S
-        unseen = self._unseen.seconds
-        if not self._is_blind.is_active(unseen > limit, now):
+        unseen = Fault(f"no landmark in view for more than {limit:g} s", self._unseen.seconds)
+        found = self._faults.active([FaultCheck(unseen, self._unseen.seconds > limit)], now)
+        if not found:
             return None
         back = float(wrap(self._heading_seen - self._odometry_pose(self._twists.newest).heading))
-        return Blind(Fault(f"no landmark in view for more than {limit:g} s", unseen), back)
+        return Blind(found[0], back)
 
     def is_sure(self, now: float) -> bool:
         """Return whether the pose can be relied on at `now` [s].
@@ -322,7 +328,8 @@ class Session:
         It is `localised` or `coasting`, within the limit of accuracy, and samples still come.
         """
         estimate = self.localisation.fix.estimate
-        if estimate.accuracy is None or self._odometry.fault(now) or self._bearings.fault(now):
+        silent = (w.check(now) for w in (self._odometry, self._bearings))
+        if estimate.accuracy is None or self._faults.active(silent, now):
             return False
         is_met = self._accurate.is_met(estimate.accuracy.position)
         return is_met and estimate.status in (Status.LOCALISED, Status.COASTING)

@@ -53,9 +53,10 @@ def claims_of(place: Place, data: VisitData, now: float) -> dict[str, Claim] | N
     mapped = [n for n in what if n in data.map.names and n in after.persistence]
     pose = datum(local.map.marginal(stayed, ()), after.map.marginal(stayed, ()), stayed)
     there = after.map.marginal(mapped, ()).in_frame_of(pose, np.zeros((3, 3)))
-    at = placed(there)
+    found = placed(there)
+    at = {n: p for n, p in found.items() if what[n] == "new" or _is_certain(p)}
     was = placed(local.map.marginal([n for n in mapped if what[n] == "moved"], ()))
-    grouped = _moved_rigidly(was, at, place.together)  # not by its own groups
+    grouped = _moved_rigidly(was, found, place.together)  # not by its own groups
     return {
         n: Claim(w, at.get(n) if w != "gone" else None, now, n in grouped) for n, w in what.items()
     }
@@ -84,11 +85,16 @@ def _moved_rigidly(
 
 
 def supports(one: Claim, other: Claim) -> bool:
-    """Return whether a claim supports another one: "gone" supports that it moved."""
+    """Return whether a claim supports another one: one without a position supports any move."""
     if one.at is None or other.at is None:
         return one.what == other.what or {one.what, other.what} == {"gone", "moved"}
     is_near = math.dist(one.at[:2], other.at[:2]) < MAX_APART_M
     return one.what == other.what and is_near and _agree(one.at, other.at)
+
+
+def _is_certain(at: Placed) -> bool:
+    """Return whether a position distinguishes claims."""
+    return float(position_sigma(spread(at))) <= MAX_APART_M
 
 
 def _agree(one: Placed, other: Placed) -> bool:
