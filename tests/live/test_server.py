@@ -2,11 +2,8 @@
 
 import asyncio
 import contextlib
+import functools
 import json
-import os
-import signal
-import subprocess
-import sys
 import threading
 import time
 
@@ -28,6 +25,16 @@ from homeward.localizer.localizer import Localizer
 
 ANY = Address("127.0.0.1", 0)
 HELLO = line_of(Hello()).encode()
+
+
+def asynchronous(test):
+    """Run a test in an event loop."""
+
+    @functools.wraps(test)
+    def run(**fixtures):
+        asyncio.run(test(**fixtures))
+
+    return run
 
 
 @contextlib.asynccontextmanager
@@ -55,15 +62,12 @@ async def answers(port, *lines, count=1):
     return out, reader, writer
 
 
-def test_a_robot_comes_home_over_tcp():
-    async def whole():
-        async with serving(tcp=ANY) as (ports, _):
-            changes = SCENARIO | {"rates.odometry": 40.0, "rates.bearings": 20.0}
-            player = SimulatedRobotClient(LiveRobot(load_scenario("paper-homing", changes)))
-            await play(player, Address("127.0.0.1", ports[0]), 1.0, None, lambda text: None)
-            return player
-
-    player = asyncio.run(whole())
+@asynchronous
+async def test_a_robot_comes_home_over_tcp():
+    async with serving(tcp=ANY) as (ports, _):
+        changes = SCENARIO | {"rates.odometry": 40.0, "rates.bearings": 20.0}
+        player = SimulatedRobotClient(LiveRobot(load_scenario("paper-homing", changes)))
+        await play(player, Address("127.0.0.1", ports[0]), 1.0, None, lambda text: None)
     assert player.ending.state == "arrived"
     assert player.robot.distance < 0.05
 
@@ -78,62 +82,56 @@ def test_a_robot_comes_home_over_tcp():
         (b'{"type":"hello","version":7}\n', "must be 1"),
     ],
 )
-def test_who_does_not_say_hello_as_he_must_is_let_go(first, words):
-    async def whole():
-        async with serving(token="secret", tcp=ANY) as (ports, server):
-            (said,), reader, writer = await answers(ports[0], first, HELLO)
-            assert said["type"] == "error"
-            assert words in said["text"]
-            with contextlib.suppress(ConnectionError):
-                assert await reader.read() == b""
-            writer.close()
-            assert server.session.waiting == 0
-
-    asyncio.run(whole())
+@asynchronous
+async def test_who_does_not_say_hello_as_he_must_is_let_go(first, words):
+    async with serving(token="secret", tcp=ANY) as (ports, server):
+        (said,), reader, writer = await answers(ports[0], first, HELLO)
+        assert said["type"] == "error"
+        assert words in said["text"]
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read() == b""
+        writer.close()
+        assert server.session.waiting == 0
 
 
-def test_wrong_tokens_wait_one_after_the_other_and_the_right_one_does_not(monkeypatch):
+@asynchronous
+async def test_wrong_tokens_wait_one_after_the_other_and_the_right_one_does_not(monkeypatch):
     monkeypatch.setattr("homeward.live.server.WRONG_TOKEN_S", 0.2)
-
-    async def whole():
-        async with serving(token="secret", tcp=ANY) as (ports, _):
-            began, right = time.monotonic(), line_of(Hello(token="secret")).encode()
-            guesses = [asyncio.create_task(answers(ports[0], HELLO)) for _ in range(4)]
-            (said,), _, writer = await answers(ports[0], right)
-            assert said["type"] == "hello"
-            assert time.monotonic() - began < 0.2
+    async with serving(token="secret", tcp=ANY) as (ports, _):
+        began, right = time.monotonic(), line_of(Hello(token="secret")).encode()
+        guesses = [asyncio.create_task(answers(ports[0], HELLO)) for _ in range(4)]
+        (said,), _, writer = await answers(ports[0], right)
+        assert said["type"] == "hello"
+        assert time.monotonic() - began < 0.2
+        writer.close()
+        for (said,), _, writer in await asyncio.gather(*guesses):
+            assert said["text"] == "wrong token"
             writer.close()
-            for (said,), _, writer in await asyncio.gather(*guesses):
-                assert said["text"] == "wrong token"
-                writer.close()
-            assert time.monotonic() - began >= 0.8
-
-    asyncio.run(whole())
+        assert time.monotonic() - began >= 0.8
 
 
-def test_an_observer_may_only_read():
-    async def whole():
-        async with serving(token="secret", tcp=ANY) as (ports, server):
-            server.observe_token = "glass"
-            hello = line_of(Hello(token="glass")).encode()
-            stop = b'{"type":"estop","engaged":true}\n'
-            go = b'{"type":"go_home"}\n'
-            out, reader, writer = await answers(ports[0], hello, stop, go, count=3)
-            assert [x["type"] for x in out] == ["hello", "error", "error"]
-            assert "only permits to read" in out[1]["text"]
-            while json.loads(await reader.readline())["type"] != "diagnostics":
-                pass
-            assert not server.session.is_stopped
-            writer.close()
-
-    asyncio.run(whole())
+@asynchronous
+async def test_an_observer_may_only_read():
+    async with serving(token="secret", tcp=ANY) as (ports, server):
+        server.observe_token = "glass"
+        hello = line_of(Hello(token="glass")).encode()
+        stop = b'{"type":"estop","engaged":true}\n'
+        go = b'{"type":"go_home"}\n'
+        out, reader, writer = await answers(ports[0], hello, stop, go, count=3)
+        assert [x["type"] for x in out] == ["hello", "error", "error"]
+        assert "only permits to read" in out[1]["text"]
+        while json.loads(await reader.readline())["type"] != "diagnostics":
+            pass
+        assert not server.session.is_stopped
+        writer.close()
 
 
 STOP = b'{"type":"estop","engaged":true}\n'
 RELEASE = b'{"type":"estop","engaged":false}\n'
 
 
-def test_only_the_client_that_gave_a_stop_releases_it_also_after_a_restart(tmp_path):
+@asynchronous
+async def test_only_the_client_that_gave_a_stop_releases_it_also_after_a_restart(tmp_path):
     file = tmp_path / "state" / "stop"
 
     async def until(condition):
@@ -147,32 +145,29 @@ def test_only_the_client_that_gave_a_stop_releases_it_also_after_a_restart(tmp_p
                 pass
         return out["text"]
 
-    async def whole():
-        async with serving(stop_file=file, tcp=ANY) as (ports, server):
-            _, _, own = await answers(ports[0], HELLO, STOP)
-            await until(file.exists)
-            assert server.session.is_stopped
-            _, reader, other = await answers(ports[0], HELLO, RELEASE)
-            assert await error(reader) == NOT_OWN_STOP
-            other.write(STOP + RELEASE)  # the release of its own stop
-            own.write(RELEASE)
-            await until(lambda: not (server.session.is_stopped or file.exists()))
-            own.write(STOP)
-            await until(file.exists)
-            own.close()
-            other.write(RELEASE)
-            assert await error(reader) == NOT_OWN_STOP
-            other.close()
-        async with serving(stop_file=file, tcp=ANY) as (ports, server):
-            assert server.session.is_stopped
-            _, reader, writer = await answers(ports[0], HELLO, STOP, RELEASE, RELEASE)
-            assert await error(reader) == NOT_OWN_STOP
-            writer.close()
-        file.unlink()  # --release-stop
-        async with serving(stop_file=file, tcp=ANY) as (ports, server):
-            assert not server.session.is_stopped
-
-    asyncio.run(whole())
+    async with serving(stop_file=file, tcp=ANY) as (ports, server):
+        _, _, own = await answers(ports[0], HELLO, STOP)
+        await until(file.exists)
+        assert server.session.is_stopped
+        _, reader, other = await answers(ports[0], HELLO, RELEASE)
+        assert await error(reader) == NOT_OWN_STOP
+        other.write(STOP + RELEASE)  # the release of its own stop
+        own.write(RELEASE)
+        await until(lambda: not (server.session.is_stopped or file.exists()))
+        own.write(STOP)
+        await until(file.exists)
+        own.close()
+        other.write(RELEASE)
+        assert await error(reader) == NOT_OWN_STOP
+        other.close()
+    async with serving(stop_file=file, tcp=ANY) as (ports, server):
+        assert server.session.is_stopped
+        _, reader, writer = await answers(ports[0], HELLO, STOP, RELEASE, RELEASE)
+        assert await error(reader) == NOT_OWN_STOP
+        writer.close()
+    file.unlink()  # --release-stop
+    async with serving(stop_file=file, tcp=ANY) as (ports, server):
+        assert not server.session.is_stopped
 
 
 def test_a_restart_with_release_stop_releases_the_stop_of_the_same_addresses(tmp_path, monkeypatch):
@@ -193,22 +188,20 @@ def test_a_restart_with_release_stop_releases_the_stop_of_the_same_addresses(tmp
     assert [file.exists() for file in stopped] == [False, True]
 
 
-def test_bad_lines_are_answered_and_an_endless_one_ends_the_talk():
-    async def whole():
-        async with serving(tcp=ANY) as (ports, _):
-            out, reader, writer = await answers(ports[0], HELLO, b"nonsense\n", count=2)
-            assert [x["type"] for x in out] == ["hello", "error"]
-            writer.write(b"x" * 200_000)
-            with contextlib.suppress(ConnectionError):
-                async with asyncio.timeout(5):
-                    await reader.read()
-            writer.close()
-            # The session goes on for others.
-            out, _, writer = await answers(ports[0], HELLO)
-            assert out[0]["type"] == "hello"
-            writer.close()
-
-    asyncio.run(whole())
+@asynchronous
+async def test_bad_lines_are_answered_and_an_endless_one_ends_the_talk():
+    async with serving(tcp=ANY) as (ports, _):
+        out, reader, writer = await answers(ports[0], HELLO, b"nonsense\n", count=2)
+        assert [x["type"] for x in out] == ["hello", "error"]
+        writer.write(b"x" * 200_000)
+        with contextlib.suppress(ConnectionError):
+            async with asyncio.timeout(5):
+                await reader.read()
+        writer.close()
+        # The session goes on for others.
+        out, _, writer = await answers(ports[0], HELLO)
+        assert out[0]["type"] == "hello"
+        writer.close()
 
 
 class Talkative(Session):
@@ -252,35 +245,31 @@ def test_a_robot_is_commanded_while_the_estimator_is_stuck():
     assert set(kinds) == {"command", "diagnostics"}
 
 
-def test_who_does_not_read_is_let_go_and_others_hear_on():
-    async def whole():
-        async with serving(Talkative(), tcp=ANY) as (ports, _):
-            _, ignored, deaf = await answers(ports[0], HELLO)
-            deaf.transport.pause_reading()
-            _, reader, writer = await answers(ports[0], HELLO)
-            for k in range(400):
-                writer.write(line_of(OdometryIn(t=0.02 * k, v=0.0, omega=0.0)).encode())
-                async with asyncio.timeout(5):
-                    while len(await reader.readline()) < 60_000:
-                        pass
-            deaf.transport.resume_reading()
+@asynchronous
+async def test_who_does_not_read_is_let_go_and_others_hear_on():
+    async with serving(Talkative(), tcp=ANY) as (ports, _):
+        _, ignored, deaf = await answers(ports[0], HELLO)
+        deaf.transport.pause_reading()
+        _, reader, writer = await answers(ports[0], HELLO)
+        for k in range(400):
+            writer.write(line_of(OdometryIn(t=0.02 * k, v=0.0, omega=0.0)).encode())
             async with asyncio.timeout(5):
-                with contextlib.suppress(ConnectionError):
-                    while await ignored.read(2**20):
-                        pass
-            deaf.close()
-            writer.close()
+                while len(await reader.readline()) < 60_000:
+                    pass
+        deaf.transport.resume_reading()
+        async with asyncio.timeout(5):
+            with contextlib.suppress(ConnectionError):
+                while await ignored.read(2**20):
+                    pass
+        deaf.close()
+        writer.close()
 
-    asyncio.run(whole())
 
-
-def test_others_than_this_machine_need_a_token():
-    async def whole():
+@asynchronous
+async def test_others_than_this_machine_need_a_token():
+    with pytest.raises(InputError, match="set a token"):
         async with serving(tcp=Address("0.0.0.0", 0)):
             pass
-
-    with pytest.raises(InputError, match="set a token"):
-        asyncio.run(whole())
 
 
 @pytest.mark.parametrize(
@@ -302,112 +291,40 @@ def test_what_is_no_address_is_refused(text):
         address(text)
 
 
-def test_nobody_listens():
-    async def whole():
-        async with serving(tcp=ANY) as (ports, _):
-            port = ports[0]
-        player = SimulatedRobotClient(LiveRobot(load_scenario("paper-homing", SCENARIO)))
+@asynchronous
+async def test_nobody_listens():
+    async with serving(tcp=ANY) as (ports, _):
+        port = ports[0]
+    player = SimulatedRobotClient(LiveRobot(load_scenario("paper-homing", SCENARIO)))
+    with pytest.raises(HomewardError, match="no session at"):
         await play(player, Address("127.0.0.1", port), 1.0, None, lambda text: None)
 
-    with pytest.raises(HomewardError, match="no session at"):
-        asyncio.run(whole())
 
-
-def test_websockets_take_the_same_messages_and_no_pages_of_other_sites():
+@asynchronous
+async def test_websockets_take_the_same_messages_and_no_pages_of_other_sites():
     connect = pytest.importorskip("websockets.asyncio.client").connect
     from websockets.exceptions import InvalidStatus
 
-    async def whole():
-        async with serving(websocket=ANY) as (ports, _):
-            url = f"ws://127.0.0.1:{ports[0]}"
-            async with connect(url) as socket:
-                await socket.send(HELLO.decode())
-                assert json.loads(await socket.recv())["type"] == "hello"
-                await socket.send("nonsense")
-                while json.loads(await socket.recv())["type"] != "error":
-                    pass
-                await socket.send(line_of(OdometryIn(t=0.0, v=0.0, omega=0.0)))
-                said = {"faults": ["no odometry yet"]}
-                while "no odometry yet" in said.get("faults", ["no odometry yet"]):
-                    said = json.loads(await socket.recv())
-            for page in ("http://localhost:8000", "https://example.org"):
-                with pytest.raises(InvalidStatus):
-                    await connect(url, origin=page)
-        async with serving(token="secret", websocket=ANY) as (ports, _):
-            url = f"ws://127.0.0.1:{ports[0]}"
-            async with connect(url, origin="http://localhost:8000") as socket:
-                await socket.send('{"type":"hello","token":"secret"}')
-                assert json.loads(await socket.recv())["type"] == "hello"
-
-    asyncio.run(whole())
-
-
-def test_a_session_over_stdin_answers_every_line_and_ends_with_it(tmp_path):
-    lines = [{"type": "hello"}, {"type": "home", "bearings": {"a": 0.1, "b": 1.0, "c": 2.0}}]
-    for k in range(120):
-        lines.append({"type": "odometry", "t": 0.02 * k, "v": 0.2, "omega": 0.3})
-        lines.append({"type": "bearings", "t": 0.02 * k, "bearings": {"a": 0.1 + 0.001 * k}})
-    text = "".join(json.dumps(line) + "\n" for line in lines) + "nonsense\n"
-    command = [sys.executable, "-m", "homeward", "live", "--record", str(tmp_path / "r")]
-    done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
-    said = [json.loads(line) for line in done.stdout.splitlines()]
-    assert sum(x["type"] == "estimate" for x in said) == 120
-    assert any("not JSON" in x.get("text", "") for x in said)
-    command = [sys.executable, "-m", "homeward", "live", "--replay"]
-    again = subprocess.run([*command, str(tmp_path / "r" / "session.jsonl")], capture_output=True)
-    assert again.stdout.decode() == "120 answers, all equal to the last bit\n"
-    assert (
-        LiveSettings().queue == 200
-    )  # less than the number received: stdin waits for the estimator
-
-
-LOOK = '{"type":"bearings","t":%d,"bearings":{}}\n'
-
-
-@contextlib.contextmanager
-def live_on_pipes():
-    """The process of a session that answers."""
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-m", "homeward", "live"], text=True, **pipes) as live:
-        live.stdin.write(LOOK % 0)
-        live.stdin.flush()
-        while json.loads(live.stdout.readline())["type"] != "estimate":
-            pass  # on a slow machine, diagnostics may come first
-        yield live
-
-
-def test_who_closes_the_pipe_ends_the_session_without_a_word():
-    with live_on_pipes() as live:
-        live.stdout.close()
-        with contextlib.suppress(BrokenPipeError):
-            for t in range(1, 100):
-                live.stdin.write(LOOK % t)
-                live.stdin.flush()
-        assert live.wait(60.0) == 0
-        assert live.stderr.read() == ""
-
-
-@pytest.mark.parametrize("how", ["closed", "SIGINT", "SIGTERM"])
-def test_a_session_that_waits_for_a_line_ends_without_a_word(how):
-    with live_on_pipes() as live:
-        live.stdout.close() if how == "closed" else live.send_signal(signal.Signals[how])
-        assert live.wait(60.0) == 0  # and stdin is open, and quiet
-        assert live.stderr.read() == ""
-
-
-def test_stdin_may_end_after_the_session(monkeypatch):
-    before, (reading, writing) = set(threading.enumerate()), os.pipe()
-
-    async def whole():
-        async with serving(stdio=True):
-            pass
-
-    with open(reading) as stdin, open(writing, "wb") as writer:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        asyncio.run(whole())
-        (waiting,) = set(threading.enumerate()) - before
-        writer.close()
-        waiting.join()  # an error in it would be a warning of pytest's
+    async with serving(websocket=ANY) as (ports, _):
+        url = f"ws://127.0.0.1:{ports[0]}"
+        async with connect(url) as socket:
+            await socket.send(HELLO.decode())
+            assert json.loads(await socket.recv())["type"] == "hello"
+            await socket.send("nonsense")
+            while json.loads(await socket.recv())["type"] != "error":
+                pass
+            await socket.send(line_of(OdometryIn(t=0.0, v=0.0, omega=0.0)))
+            said = {"faults": ["no odometry yet"]}
+            while "no odometry yet" in said.get("faults", ["no odometry yet"]):
+                said = json.loads(await socket.recv())
+        for page in ("http://localhost:8000", "https://example.org"):
+            with pytest.raises(InvalidStatus):
+                await connect(url, origin=page)
+    async with serving(token="secret", websocket=ANY) as (ports, _):
+        url = f"ws://127.0.0.1:{ports[0]}"
+        async with connect(url, origin="http://localhost:8000") as socket:
+            await socket.send('{"type":"hello","token":"secret"}')
+            assert json.loads(await socket.recv())["type"] == "hello"
 
 
 async def hears(reader, wanted, within=10.0):
@@ -458,57 +375,53 @@ def test_a_stop_is_taken_before_what_a_client_sent_without_a_pause(same):
 
 
 @pytest.mark.parametrize("line", [b"nonsense\n", b"\n", ODOMETRY % 1])
-def test_commands_go_on_while_a_client_sends_without_a_pause(line):
-    async def whole():
-        async with serving(tcp=ANY) as (ports, _):
-            _, fast_reader, fast = await answers(ports[0], HELLO)
-            _, reader, writer = await answers(ports[0], HELLO, line_of(GoHome()).encode())
+@asynchronous
+async def test_commands_go_on_while_a_client_sends_without_a_pause(line):
+    async with serving(tcp=ANY) as (ports, _):
+        _, fast_reader, fast = await answers(ports[0], HELLO)
+        _, reader, writer = await answers(ports[0], HELLO, line_of(GoHome()).encode())
 
-            async def flood():
-                with contextlib.suppress(ConnectionError):
-                    while True:
-                        fast.write(line * 1000)
-                        await fast.drain()
-                        await asyncio.sleep(0)
-
-            async def ignore():
-                with contextlib.suppress(ConnectionError):
-                    while await fast_reader.read(2**16):
-                        pass
-
-            tasks = [asyncio.create_task(flood()), asyncio.create_task(ignore())]
-            for _ in range(25):
-                await hears(reader, lambda said: said["type"] == "command")
-            for task in tasks:
-                task.cancel()
-            fast.close()
-            writer.close()
-
-    asyncio.run(whole())
-
-
-def test_who_sends_refused_lines_without_end_is_let_go_without_a_word_on_stderr(caplog):
-    async def whole():
-        async with serving(tcp=ANY) as (ports, _):
-            _, reader, writer = await answers(ports[0], HELLO)
-            writer.write(b"nonsense\n" * 20_000)
-            said = await hears(reader, lambda said: "disconnected" in said.get("text", ""))
-            assert said["text"] == "disconnected: 100 lines in a row were refused"
+        async def flood():
             with contextlib.suppress(ConnectionError):
-                async with asyncio.timeout(5):
-                    await reader.read()
-            writer.close()
-            # One that hangs up at once is no reason for complaints either.
-            _, _, writer = await answers(ports[0], HELLO)
-            writer.write(b"nonsense\n" * 20_000)
-            await writer.drain()
-            writer.transport.abort()
-            out, _, writer = await answers(ports[0], HELLO)
-            assert out[0]["type"] == "hello"
-            await asyncio.sleep(0.2)
-            writer.close()
+                while True:
+                    fast.write(line * 1000)
+                    await fast.drain()
+                    await asyncio.sleep(0)
 
-    asyncio.run(whole())
+        async def ignore():
+            with contextlib.suppress(ConnectionError):
+                while await fast_reader.read(2**16):
+                    pass
+
+        tasks = [asyncio.create_task(flood()), asyncio.create_task(ignore())]
+        for _ in range(25):
+            await hears(reader, lambda said: said["type"] == "command")
+        for task in tasks:
+            task.cancel()
+        fast.close()
+        writer.close()
+
+
+@asynchronous
+async def test_who_sends_refused_lines_without_end_is_let_go_without_a_word_on_stderr(caplog):
+    async with serving(tcp=ANY) as (ports, _):
+        _, reader, writer = await answers(ports[0], HELLO)
+        writer.write(b"nonsense\n" * 20_000)
+        said = await hears(reader, lambda said: "disconnected" in said.get("text", ""))
+        assert said["text"] == "disconnected: 100 lines in a row were refused"
+        with contextlib.suppress(ConnectionError):
+            async with asyncio.timeout(5):
+                await reader.read()
+        writer.close()
+        # One that hangs up at once is no reason for complaints either.
+        _, _, writer = await answers(ports[0], HELLO)
+        writer.write(b"nonsense\n" * 20_000)
+        await writer.drain()
+        writer.transport.abort()
+        out, _, writer = await answers(ports[0], HELLO)
+        assert out[0]["type"] == "hello"
+        await asyncio.sleep(0.2)
+        writer.close()
     assert caplog.text == ""
 
 

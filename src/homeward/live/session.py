@@ -18,9 +18,9 @@ from homeward.control.driver import Driver
 from homeward.control.goals import STAND, Belief, Goal, GoalState, TurnGoal
 from homeward.control.watchdog import (
     Blind,
-    FaultCheck,
     DrivingTime,
     Fault,
+    FaultCheck,
     Faults,
     StampGate,
     Watchdog,
