@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from itertools import chain, count
+from typing import Any
 
 import numpy as np
 
@@ -63,10 +65,8 @@ def first_place(name: str, localizer: Localizer, data: VisitData, home: str = FI
         for n in there.names
     }
     place = Place(name, there, persistence, {home: StoredHome(when, dict(observed))})
-    events = tuple(_events(place, place, dict.fromkeys(there.names, "new")))
-    number, new = place.next_visit, len(events)
-    visit = Visit(number, when, data.drive, data.evidence, "first", new=new, of=new)
-    return _with_stored(replace(place, visits=(visit,), events=events), data)
+    what = dict.fromkeys(there.names, "new")
+    return _with_stored(_with_history(place, place, data, "first", what), data)
 
 
 def _too_few(landmarks: int) -> HomewardError:
@@ -103,9 +103,7 @@ def merged(place: Place, data: VisitData) -> Place:
 
 def kept_apart(place: Place, data: VisitData) -> Place:
     """Return a place that only lists a visit, as "apart"."""
-    known = len(place.persistence)
-    apart = Visit(place.next_visit, data.when, data.drive, data.evidence, "apart", of=known)
-    return replace(place, visits=_visits(place, apart))
+    return _with_history(place, place, data, "apart", {})
 
 
 def merged_places(place: Place, other: Place) -> Place:
@@ -148,19 +146,7 @@ def merged_places(place: Place, other: Place) -> Place:
     new = [n for n in now.names if n not in place.persistence]
     moved = [n for n in tested if n not in stayed and n not in older]
     what = dict.fromkeys(new, "new") | dict.fromkeys(moved, "moved")
-    visit = Visit(
-        place.next_visit,
-        when,
-        other.name,
-        known,
-        "merged",
-        stayed=len(stayed),
-        moved=len(moved),
-        new=len(new),
-        of=len(now.names),
-    )
-    events = (*place.events, *_events(place, there, what))[-MAX_EVENTS:]
-    return replace(there, visits=_visits(place, visit), events=events)
+    return _with_history(place, there, theirs_data, "merged", what, len(stayed))
 
 
 def _with_map(
@@ -186,10 +172,29 @@ def _free_names(here: Collection[str], theirs: Collection[str], of: str) -> dict
     return names
 
 
-def _visits(before: Place, visit: Visit) -> tuple[Visit, ...]:
-    """Return the visits of a place with a new one: the first and the last ones."""
-    first, *others = (*before.visits, visit)
-    return first, *others[1 - MAX_EVENTS // 10 :]
+def _with_history(
+    before: Place,
+    place: Place,
+    data: VisitData,
+    result: str,
+    what: Mapping[str, str],
+    stayed: int = 0,
+) -> Place:
+    """Return a place with the history of the place `before` and a visit.
+
+    `what` are its events by landmark. The first visit and the last ones are kept.
+    """
+    number, counts = before.next_visit, dict[str, Any](Counter(what.values()))
+    at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
+    events = [Event(number, name, word, *at[name]) for name, word in what.items()]
+    of = len(place.map.names) - counts.pop("forgotten", 0)
+    about = number, data.when, data.drive, data.evidence, result, stayed
+    first, *others = (*before.visits, Visit(*about, **counts, of=of))
+    return replace(
+        place,
+        visits=(first, *others[1 - MAX_EVENTS // 10 :]),
+        events=(*before.events, *events)[-MAX_EVENTS:],
+    )
 
 
 def _updated(
@@ -230,34 +235,15 @@ def _updated(
     forgotten = [n for n, s in persistence.items() if s.stays(when, usual) < FORGOTTEN]
     what |= dict.fromkeys(forgotten, "forgotten")
     kept = [n for n in persistence if n not in forgotten]
-    events = _events(before, place, what)
     lost = [persistence[n] for n in forgotten]
-    place = replace(
+    stayed = sum(wrong <= 0.5 for wrong in tested.values())
+    place = _with_history(before, place, data, "merged", what, stayed)
+    return replace(
         place,
         map=place.map.marginal(kept),
         persistence={n: persistence[n] for n in kept},
         past=tuple(np.add(before.past, tally(lost)).tolist()),
-        events=(*before.events, *events)[-MAX_EVENTS:],
     )
-    counts = {k: sum(w == k for w in what.values()) for k in ("moved", "gone", "new", "returned")}
-    stayed = sum(wrong <= 0.5 for wrong in tested.values())
-    visit = Visit(
-        before.next_visit,
-        when,
-        data.drive,
-        data.evidence,
-        "merged",
-        stayed=stayed,
-        of=len(kept),
-        **counts,
-    )
-    return replace(place, visits=_visits(before, visit))
-
-
-def _events(before: Place, place: Place, what: dict[str, str]) -> list[Event]:
-    """Return the events of a visit, in order of landmarks."""
-    at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
-    return [Event(before.next_visit, name, word, *at[name]) for name, word in what.items()]
 
 
 def _moved_probabilities(place: Place, data: VisitData) -> tuple[dict[str, float], list[str]]:

@@ -118,18 +118,19 @@ def bearings_in(
         on_tags(rows.tag_poses(), parts[0].header)
     columns = rows.columns()
     ids = [str(i) for i in columns["landmark"]]
-    sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
-    bearings = dict(zip(ids, columns["bearing"].tolist(), strict=True))
+
+    def valid(column: str, low: float, high: float) -> dict[str, float]:
+        values = zip(ids, columns[column].tolist(), strict=True)
+        return {i: value for i, value in values if low < value <= high}
+
     known = {
         "t": t,
         "camera": name,
-        "bearings": bearings,
-        "sigmas": {i: s for i, s in sigmas if s > 0},
+        "bearings": dict(zip(ids, columns["bearing"].tolist(), strict=True)),
+        "sigmas": valid("sigma", 0.0, math.inf),
+        "ranges": valid("range", 0.0, msg.MAX_LENGTH),
+        "elevations": valid("elevation", -math.inf, math.pi),
     }
-    ranges = zip(ids, columns["range"].tolist(), strict=True)
-    known["ranges"] = {i: r for i, r in ranges if 0.0 < r <= msg.MAX_LENGTH}
-    elevations = zip(ids, columns["elevation"].tolist(), strict=True)
-    known["elevations"] = {i: e for i, e in elevations if math.isfinite(e)}
     return validated(msg.BearingsIn, known)
 
 

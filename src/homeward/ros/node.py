@@ -25,6 +25,7 @@ from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.frames import Pose
 from homeward.io.blas_threads import single_threaded_blas
+from homeward.io.models import Strict
 from homeward.io.settings import read_settings, validated
 from homeward.live import messages as msg
 from homeward.live.fleet.connection import given_broker
@@ -80,15 +81,16 @@ PARAMETERS: dict[str, Any] = {
 """Parameters and their defaults, described in ros/homeward_ros/config/homeward.yaml."""
 MQTT = "", "_user", "_password_file", "_ca"
 """Ends of the names of the parameters of a broker."""
-NAMED: dict[str, Any] = {
-    "store_home": msg.StoreHome,
-    "turn_home": msg.TurnHome,
-    "go_home": msg.GoHome,
-    "store_route": msg.StoreRoute,
-    "follow_route": msg.FollowRoute,
-}
-"""Messages with a name, by topic."""
+NAMED = msg.StoreHome, msg.TurnHome, msg.GoHome, msg.StoreRoute, msg.FollowRoute
+"""Messages with a name: each is a topic, whose name is the type of the message."""
+PLAIN = *NAMED[:3], msg.LookRound, msg.BeginRoute, msg.SavePlace, msg.Cancel, msg.Reset
+"""Messages that are services without a request."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+def _type_of(message: type[Strict]) -> str:
+    """Return the type of a message, as in its JSON."""
+    return str(message.model_fields["type"].default)
 
 
 class HomewardNode(LifecycleNode):  # type: ignore[misc]
@@ -209,7 +211,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             if isinstance(given.camera, str):
                 info = partial(cameras.info, number)
                 topics.append(("sensor_msgs/msg/CameraInfo", given.camera, info))
-        topics += [(JSON, f"~/{topic}", self._named(kind)) for topic, kind in NAMED.items()]
+        topics += [(JSON, f"~/{_type_of(kind)}", self._named(kind)) for kind in NAMED]
         topics.append((JSON, "~/dock", self._named(msg.GoHome, dock=True)))
         if parameter("imu_topic"):
             topics.append(("sensor_msgs/msg/Imu", parameter("imu_topic"), self._tilt))
@@ -230,10 +232,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         except ImportError:
             self.get_logger().warning("std_srvs is not installed: no services, use ~/request")
             return
-        kinds = {"store_home": msg.StoreHome, "look_round": msg.LookRound}
-        kinds |= {"turn_home": msg.TurnHome, "go_home": msg.GoHome, "begin_route": msg.BeginRoute}
-        kinds |= {"save_place": msg.SavePlace, "cancel": msg.Cancel, "reset": msg.Reset}
-        services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in kinds.items()]
+        services = [(trigger, _type_of(m), self._service(lambda _, m=m: m())) for m in PLAIN]
         stop = self._service(lambda request: msg.EStop(engaged=request.data))
         for kind, name, serve in (*services, (switch, "estop", stop)):
             made = self.create_service(kind, f"~/{name}", serve)
