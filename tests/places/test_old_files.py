@@ -10,8 +10,11 @@ from visited import mapped, room
 
 from homeward import Localizer
 from homeward.cli.main import app
+from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings
+from homeward.errors import InputError
 from homeward.io.settings import read_settings
+from homeward.live.recording import read_drive
 from homeward.places.files import load_place, save_place
 from homeward.places.visit_data import VisitData
 from homeward.places.visiting import merged
@@ -43,3 +46,15 @@ def test_a_robot_file_is_read():
     assert robot.cameras["rear"].yaw == 3.1
     assert robot.odometry.speed_scale == 1.02
     assert robot.bearings_late == 0.08
+
+
+def test_a_recording_of_a_live_session_is_read(tmp_path):
+    drive = read_drive(OLD / "session.jsonl")
+    assert drive.odometry.t[[0, -1]].tolist() == [1000.0, 1003.9]
+    assert set(drive.odometry.v) == {0.3}
+    assert drive.sightings.t.size == 40
+    assert drive.home["a"] == HomeBearing(0.1, 0.01)
+    newer = tmp_path / "session.jsonl"
+    newer.write_text((OLD / "session.jsonl").read_text().replace("{", '{"version": 2, ', 1))
+    with pytest.raises(InputError, match="version: must be 1"):
+        read_drive(newer)

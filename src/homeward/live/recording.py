@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
+from typing import Literal, TextIO
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class _Visit(Strict):
 class _Head(Strict):
     """The first line of a session."""
 
+    version: Literal[1] = 1
+    """Missing in old recordings."""
     settings: LiveSettings
     robot: DriveSettings
     homes: dict[str, dict[str, tuple[Finite, Positive | None]]]
