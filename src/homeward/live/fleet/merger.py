@@ -209,11 +209,9 @@ class Merger:
                 self._log(f"{robot}, visit {visit}: {text}")
         except HomewardError as error:  # the disk is full
             self._delay(str(error))
-        for robot in added:
-            self._acknowledge(robot, self._done[robot], results)
-        for (robot, visit), text in results.items():
-            if robot not in added and (done := self._done.get(robot)) and done.visit == visit:
-                self._send_ack(robot, done, True, text)
+        for robot, done in self._done.items():
+            if robot in added or (robot, done.visit) in results:
+                self._acknowledge(robot, done, results)
         self._publish()
 
     def _add(self, robot: str, manifest: VisitManifest, content: bytes) -> bool:
