@@ -73,10 +73,42 @@ def test_a_run_refuses_bearings_in_a_fixed_frame(plain, tmp_path):
     assert remark not in opened(RunSettings(drive=str(tmp_path / "drive"))).remarks
 
 
-def test_a_run_of_reversed_bearings_has_a_remark(plain):
+def left_laps(sign):
+    """Return a drive of 60 s on straight legs and bends to the left, with yaw rates times `sign`."""
+    rng, t = np.random.default_rng(5), np.arange(0.0, 60.0, 0.05)
+    speed, omega = np.full(t.size, 0.3), np.where(t % 20.0 < 14.0, 0.0, math.pi / 12.0)
+    path = dead_reckoning(Odometry(t, speed, omega), t)
+    frames, angle = np.arange(0, t.size, 4), math.tau * np.arange(10) / 10
+    x, y = np.mean(path.x) + 5.0 * np.cos(angle), np.mean(path.y) + 4.0 * np.sin(angle)
+    bearing = np.arctan2(y - path.y[frames, None], x - path.x[frames, None])
+    bearing = wrap(bearing - path.heading[frames, None] + rng.normal(0.0, 0.01, bearing.shape))
+    names = np.array([f"L{k}" for k in range(10)], object)
+    home = {n: HomeBearing(float(b)) for n, b in zip(names, np.arctan2(y, x), strict=True)}
+    seen = Sightings(np.repeat(t[frames], 10), np.tile(names, frames.size), bearing.ravel())
+    return Drive("", Odometry(t, speed, sign * omega), seen, home, DriveSettings())
+
+
+def test_a_run_refuses_reversed_bearings_before_its_first_pose(plain, tmp_path):
     s = plain.sightings
     drive = dataclasses.replace(plain, sightings=dataclasses.replace(s, bearing=-s.bearing))
-    assert senses_of(drive).sense is Sense.REVERSED
+    save_drive(drive, tmp_path / "drive")
+    with pytest.raises(InputError, match="opposite senses; make both anti-clockwise"):
+        opened(RunSettings(drive=str(tmp_path / "drive")))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_run_refuses_bends_to_one_side_in_the_mirror(sign, tmp_path):
+    """The localiser finds that after some windows; until then its poses would be wrong."""
+    save_drive(left_laps(sign), tmp_path / "drive")
+    run = RunSettings(drive=str(tmp_path / "drive"))
+    if sign > 0:
+        assert opened(run).sightings.t.size
+        return
+    assert senses_of(open_drive(tmp_path / "drive")).sense is None
+    with pytest.raises(InputError, match=r"opposite ways; .*check_senses: false"):
+        opened(run)
+    (tmp_path / "drive" / "drive.yaml").write_text("check_senses: false\n", encoding="utf-8")
+    assert opened(run).sightings.t.size
 
 
 def rounds(seed):

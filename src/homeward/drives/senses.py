@@ -95,7 +95,8 @@ _TO_RAD, _BOTH = "convert them to rad/s", "convert both from degrees to radians,
 REMEDIES = {
     Sense.REVERSED: (
         "bearings and yaw rates rotate in opposite senses",
-        "make both anti-clockwise, or give the roll of a camera that is mounted upside down",
+        "make both anti-clockwise (of wheels, exchange left and right), or give the roll of a camera "
+        "that is mounted upside down",
     ),
     Sense.FIXED_FRAME: (
         "the bearings do not turn with the robot: they are in a fixed frame, as of a compass or "
@@ -320,10 +321,7 @@ def with_sense_remark(drive: Drive) -> Drive:
 
 
 def require_senses(drive: Drive) -> None:
-    """Raise InputError for a drive with which no pose is possible, by its remark.
-
-    Opposite senses are left to the estimator, which names them as soon as it finds them.
-    """
-    for sense, (fault, remedy) in REMEDIES.items():
-        if sense is not Sense.REVERSED and f"{SHOWS}{fault}; {remedy}" in drive.remarks:
+    """Raise InputError for a drive with which no pose is possible, by its remark."""
+    for fault, remedy in REMEDIES.values():
+        if f"{SHOWS}{fault}; {remedy}" in drive.remarks:
             raise InputError(fault, advice=f"{remedy}, or set {OVERRIDE} to run it all the same")

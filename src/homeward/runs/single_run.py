@@ -20,7 +20,7 @@ from homeward.drives.opening import (
     sample_drive,
 )
 from homeward.drives.ros.kinds import is_log
-from homeward.drives.senses import require_senses
+from homeward.drives.senses import OVERRIDE, require_senses
 from homeward.drives.settings import Finite, NonNegative, Positive, Span, Start
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
@@ -28,6 +28,7 @@ from homeward.geometry.frames import Pose, to_polar
 from homeward.io.checks import Field
 from homeward.io.models import Strict
 from homeward.io.settings import read_tree, validated
+from homeward.localizer.inputs.sign_check import note_of_whole
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
@@ -179,6 +180,8 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         on_progress=progress,
     )
     require_senses(drive)
+    if note := note_of_whole(drive):
+        raise InputError(note.rstrip("."), advice=f"or set {OVERRIDE} to run it all the same")
     if not drive.sightings.t.size:
         raise _no_sightings(drive_path(run), drive.remark_lines)
     if not (drive.home or visits) and not (

@@ -14,6 +14,10 @@ from homeward.io.naming import command
 
 MRCLAM = "mrclam"
 """First argument for a folder of the MRCLAM data set."""
+OTHER_WAY = (
+    "Change the sign with --columns 'omega=-COLUMN' or 'bearing=-COLUMN', or exchange the columns "
+    "of the left and the right wheel."
+)
 EDIT = "its drive.yaml lists the settings of camera, odometry and home to edit"
 
 
@@ -124,6 +128,7 @@ def import_(
     from homeward.drives.settings import Wheels
     from homeward.io.settings import parse_settings
     from homeward.io.writing import write_whole
+    from homeward.localizer.inputs.sign_check import note_of_whole
     from homeward.runs.report.canvas import png
     from homeward.runs.report.imported import draw_drive
 
@@ -147,7 +152,10 @@ def import_(
         name = "import" if out is None else out.name
         drive = drive_of(found, name, when, geometry, on_progress, home_needed=home_needed)
     write_whole(picture, png(draw_drive(drive)))
-    remarks = [*drive.remark_lines, *sense_warnings(drive, found)]
+    senses = sense_warnings(drive, found)
+    if senses and (reversed_ := note_of_whole(drive)):
+        senses = [f"{reversed_} {OTHER_WAY}"]
+    remarks = [*drive.remark_lines, *senses]
     remarks += home_warnings(drive) if home_needed else []
     if out is not None:
         save_drive(drive, out, commented=True)

@@ -18,6 +18,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from homeward.drives.drive import Drive
+from homeward.drives.senses import senses_of
 from homeward.drives.settings import DriveSettings, Mount, OdometryDefaults
 from homeward.io.table import quoted
 from homeward.localizer.tunables import (
@@ -42,7 +44,9 @@ from homeward.localizer.tunables import (
     YAW_TOLERANCE,
     YAW_TOLERANCE_OFF_CENTRE,
 )
+from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
+from homeward.sighting_keys import is_followed
 
 _YAWS = YAW_STEP * np.arange(round(math.tau / YAW_STEP))
 _ACROSS = np.array([-np.sin(_YAWS), np.cos(_YAWS)])
@@ -63,6 +67,11 @@ class SignChecks:
     def is_wrong(self) -> bool:
         """Whether the convention of a camera is rejected."""
         return any(check.is_wrong for check in self._by_camera.values())
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the convention of a camera is confirmed."""
+        return any(check.is_confirmed for check in self._by_camera.values())
 
     @property
     def reason(self) -> Reason | None:
@@ -95,6 +104,29 @@ class SignChecks:
             self._by_camera[camera] = SignCheck(self.robot.mount_of(camera), name)
         check = self._by_camera[camera]
         check.bearings(t, {} if is_lost and check.is_confirmed else sightings, reckoned)
+
+
+def note_of_whole(drive: Drive) -> str:
+    """Return the note on a recorded drive whose bearings and odometry rotate in opposite senses.
+
+    For drives that `homeward.drives.senses` leaves undecided, as with bends to one side only: the
+    check of the localiser, which uses the parallax. Empty where it confirms the sense of a camera
+    at any time: a fault of the odometry may reverse a part of a drive.
+    """
+    if not drive.settings.check_senses or senses_of(drive).sense is not None:
+        return ""
+    twists, checks, o = TwistHistory(), SignChecks(drive.settings), drive.odometry
+    for t, v, omega, vy in zip(*(c.tolist() for c in (o.t, o.v, o.omega, o.vy)), strict=True):
+        twists.add(t, v, omega, vy=vy)
+    frames = zip(drive.sightings.stamps(), drive.sightings.cameras(), strict=True)
+    for (t, seen, _), camera in frames:
+        followed = {n: b for n, b in seen.items() if is_followed(n) and math.isfinite(b)}
+        reckoned = twists.reckoned_at((t - SIGN_LAGS_S).tolist())
+        if followed and reckoned is not None:
+            checks.bearings(t, camera, followed, reckoned)
+            if checks.is_confirmed:
+                return ""
+    return " ".join(checks.notes) if checks.reason is Reason.SIGNS_REVERSED else ""
 
 
 class SignCheck:
