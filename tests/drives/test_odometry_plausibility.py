@@ -1,5 +1,6 @@
 """Odometry whose motion is unknown for an interval: found, written, read and used."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,8 +10,12 @@ from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.opening import open_drive, save_drive
-from homeward.drives.plausibility import odometry_from_poses, without_implausible
-from homeward.drives.settings import Start
+from homeward.drives.plausibility import (
+    odometry_from_poses,
+    rounding_error,
+    without_implausible,
+)
+from homeward.drives.settings import DriveSettings, Start
 from homeward.errors import InputError
 from homeward.odometry.history import dead_reckoning
 from homeward.registry import make_estimator
@@ -160,3 +165,22 @@ def test_rates_in_other_units_are_remarked(v, omega, unit):
     without_implausible(Odometry(T, np.full(T.size, v), np.full(T.size, omega)), remarks)
     assert [why for why in remarks if "convert the" in why and (unit or "") in why] == list(remarks)
     assert bool(remarks) is (unit is not None)
+
+
+def test_rounded_speeds_have_a_remark_and_an_uncertain_scale(tmp_path):
+    sample = dataclasses.replace(open_drive("sample"), settings=DriveSettings())
+    o = sample.odometry
+    for step, sigma in ((0.1, 0.1), (0.01, None)):
+        speed = np.round(o.v / step) * step
+        rounded = dataclasses.replace(sample, odometry=dataclasses.replace(o, v=speed))
+        save_drive(rounded, tmp_path / f"{step}")
+        drive = open_drive(tmp_path / f"{step}")
+        assert any(f"in steps of {step} m/s" in words for words in drive.remarks) == bool(sigma)
+        found = drive.settings.odometry.speed_scale_sigma
+        assert found is None if sigma is None else found > sigma
+
+
+def test_speeds_that_were_commanded_are_not_rounded():
+    t = np.arange(0.0, 60.0, 0.05)
+    speed = np.select([t % 20.0 < 5.0, t % 20.0 < 12.0], [0.0, 0.2], 0.4)
+    assert rounding_error(Odometry(t, speed, np.zeros(t.size))) == (0.0, 0.0)

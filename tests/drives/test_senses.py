@@ -74,7 +74,7 @@ def test_a_run_refuses_bearings_in_a_fixed_frame(plain, tmp_path):
 
 
 def left_laps(sign):
-    """Return a drive of 60 s on straight legs and bends to the left, with yaw rates times `sign`."""
+    """Return a drive of 60 s on straight legs and left bends, with yaw rates times `sign`."""
     rng, t = np.random.default_rng(5), np.arange(0.0, 60.0, 0.05)
     speed, omega = np.full(t.size, 0.3), np.where(t % 20.0 < 14.0, 0.0, math.pi / 12.0)
     path = dead_reckoning(Odometry(t, speed, omega), t)

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.drive import Drive, Odometry, is_slow
+from homeward.drives.settings import OdometryDefaults
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.odometry.validity import (
@@ -50,6 +51,10 @@ SLOW_ODOMETRY = (
 SLOW_TRUTH = (
     "rows of ground truth with a median interval of {:.1f} s, too long to interpolate: errors are "
     "computed at these times only"
+)
+ROUNDED = (
+    "odometry rows with speeds in steps of {:.3g} m/s, coarse for this robot: distances may have "
+    "an error of {:.0%}; record more digits, or poses"
 )
 OTHER_CLOCK = "use stamps of one clock in seconds, and files that were recorded together"
 
@@ -109,8 +114,45 @@ def _slow_remarks(drive: Drive) -> dict[str, int]:
     return remarks
 
 
+def rounding_error(odometry: Odometry) -> tuple[float, float]:
+    """Return the step of rounded speeds [m/s], and the relative error of distances from it [1].
+
+    Both are 0 where speeds are on no grid. Rounding is an error of variance step^2/12, which
+    depends on the true speed: so it may be the same whenever the rounded speed is.
+    """
+    speed = np.abs(odometry.bridged.v)
+    levels, level = np.unique(speed, return_inverse=True)
+    levels = levels[levels > 0]
+    if not 1 < levels.size <= MAX_LEVELS:
+        return 0.0, 0.0
+    step = float(np.diff(levels, prepend=0.0).min())
+    changes = np.abs(np.diff(speed))[np.minimum(speed[1:], speed[:-1]) > 0] / step
+    if np.abs(levels / step - np.round(levels / step)).max() > ON_GRID:
+        return 0.0, 0.0
+    if (np.abs(changes - 1.0) < ON_GRID).sum() < MIN_TWISTS:  # speeds that were commanded
+        return 0.0, 0.0
+    path = speed[:-1] * np.minimum(np.diff(odometry.t), TWIST_VALIDITY_S)
+    of_level = np.bincount(level[:-1], path)[-levels.size :] / levels
+    return step, step / math.sqrt(12.0) * float(np.linalg.norm(of_level) / path.sum())
+
+
+def _with_rounding(drive: Drive) -> Drive:
+    """Return a drive with a remark on coarse speeds, and the error of its scale from them."""
+    step, error = rounding_error(drive.odometry)
+    usual, known = OdometryDefaults(), drive.settings.odometry
+    if error <= usual.speed_scale:
+        return drive
+    remarks = {**drive.remarks, ROUNDED.format(step, error): drive.odometry.t.size}
+    if known.speed_scale_sigma is None:
+        slip, scale = known.slip_sigma(usual.turn_slip), math.hypot(usual.speed_scale, error)
+        sigmas = {"speed_scale_sigma": round(scale, 3), "turn_slip_sigma": slip}
+        settings = {"odometry": known.model_copy(update=sigmas)}
+        drive = dataclasses.replace(drive, settings=drive.settings.model_copy(update=settings))
+    return dataclasses.replace(drive, remarks=remarks)
+
+
 def with_clock_remarks(drive: Drive, path: Path) -> Drive:
-    """Return a drive with remarks on slow odometry and on sightings outside its time.
+    """Return a drive with remarks on its odometry and on sightings outside its time.
 
     `InputError` where bearings and odometry do not overlap.
     """
@@ -125,12 +167,17 @@ def with_clock_remarks(drive: Drive, path: Path) -> Drive:
         path,
     )
     drive = dataclasses.replace(drive, remarks={**drive.remarks, **_slow_remarks(drive)})
+    drive = _with_rounding(drive)
     outside = int(((seen < first - MAX_CLOCK_OFFSET_S) | (seen > last + MAX_CLOCK_OFFSET_S)).sum())
     if 2 * outside <= seen.size:
         return drive
     return dataclasses.replace(drive, remarks={**drive.remarks, OUTSIDE: outside})
 
 
+MAX_LEVELS = 100
+"""Maximum number of rounded speeds that are examined: with more, rounding is below 1 %."""
+ON_GRID = 0.1
+"""Maximum deviation of a rounded speed from its grid, over the step [1]."""
 MIN_JUMP, MIN_TURN_JUMP = 0.05, 0.1
 """Minimum jump [m, rad]; the noise model of filters covers smaller ones."""
 SPEED_FACTOR = 3.0

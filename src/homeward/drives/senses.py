@@ -95,8 +95,8 @@ _TO_RAD, _BOTH = "convert them to rad/s", "convert both from degrees to radians,
 REMEDIES = {
     Sense.REVERSED: (
         "bearings and yaw rates rotate in opposite senses",
-        "make both anti-clockwise (of wheels, exchange left and right), or give the roll of a camera "
-        "that is mounted upside down",
+        "make both anti-clockwise (of wheels, exchange left and right), or give the roll of a "
+        "camera that is mounted upside down",
     ),
     Sense.FIXED_FRAME: (
         "the bearings do not turn with the robot: they are in a fixed frame, as of a compass or "

@@ -148,7 +148,10 @@ def test_fiducials_without_a_camera_say_what_they_need(made):
         made(lambda log: log.write("/tags", t, tags(log, t, {1: 5.0})))
 
 
-def test_detections_by_their_own_id_or_their_likeliest_class(made):
+@pytest.mark.parametrize("unit", [1.0, 640.0])
+def test_detections_by_their_own_id_or_their_likeliest_class(made, unit):
+    """In pixels, or in shares of the size of the image."""
+
     def fill(log):
         (t,) = stamps(1)
         make, zeros = log.make, np.zeros(36)
@@ -157,7 +160,7 @@ def test_detections_by_their_own_id_or_their_likeliest_class(made):
         )
 
         def detection(name, column, *classes):
-            place = make("vision_msgs/msg/Point2D", x=column, y=0.0)
+            place = make("vision_msgs/msg/Point2D", x=column / unit, y=0.0)
             centre = make("vision_msgs/msg/Pose2D", position=place, theta=0.0)
             results = [
                 make(
@@ -173,7 +176,7 @@ def test_detections_by_their_own_id_or_their_likeliest_class(made):
             return make(kind, header=header, results=results, bbox=box, id=name)
 
         found = [
-            detection("chair 1", 820.0, ("chair", 0.9)),
+            detection("chair 1", 620.0, ("chair", 0.9)),
             detection("", 320.0, ("lamp", 0.2), ("door", 0.7)),
             detection("", 320.0),
         ]
@@ -183,8 +186,9 @@ def test_detections_by_their_own_id_or_their_likeliest_class(made):
 
     drive = made(fill)
     assert drive.sightings.landmark.tolist() == ["chair 1", "door"]
-    assert drive.sightings.bearing.tolist() == pytest.approx([-math.pi / 4, 0.0])
-    assert drive.remarks == {"sightings without an id, left out": 1}
+    assert drive.sightings.bearing.tolist() == pytest.approx([-math.atan(0.6), 0.0])
+    assert drive.remarks.pop("sightings without an id, left out") == 1
+    assert list(drive.remarks.values()) == [2] * (unit > 1.0)
 
 
 def test_tags_without_corners_are_named_in_the_refusal(made, tmp_path):

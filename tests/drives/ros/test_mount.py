@@ -10,6 +10,7 @@ from drives.ros.rig import bearings_message
 from scipy.spatial.transform import Rotation
 
 from homeward.drives.cameras.camera import tilt_matrix
+from homeward.drives.ros.info import log_info
 from homeward.drives.ros.measurements.extrinsics import BODY_IN_OPTICAL, LEVEL, Transforms, mount
 from homeward.drives.ros.presets import BEARINGS, POSE_ARRAY, TAGS
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
@@ -189,6 +190,19 @@ def of_two_cameras(log, place=None, mounts=(), rear="rear"):
             log.write(f"/b{k}", t, message)
         for frame, (x, y, yaw) in mounts:
             log.write("/tf_static", t, static(log, t, turn(yaw), (x, y), frame))
+
+
+def test_transforms_of_two_cameras_are_named_where_their_topics_are(made, tmp_path):
+    """In the refusal, and in the topics file to complete of `homeward info`."""
+    mounts = ("front", FRONT), ("rear", REAR)
+    with pytest.raises(InputError, match=r"its sensor or all by /tf_static with mount: \{base"):
+        made(lambda log: of_two_cameras(log, None, mounts))
+    topics = log_info(tmp_path / "log.mcap").draft
+    assert "mount: {base: base_link}" in topics
+    drive = made(lambda log: of_two_cameras(log, None, mounts), topics)
+    assert seen_by(drive) == pytest.approx({"a0": 0.1, "a1": 0.1 - 2.8})
+    with pytest.raises(InputError, match=r"several, each with its sensor$"):
+        made(of_two_cameras)
 
 
 TWO = "bearings: [{{topic: /b0, {0}}}, {{topic: /b1, {1}}}]\n"

@@ -15,6 +15,7 @@ pixel.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -98,6 +99,11 @@ class Lens(Camera):
                 f"{known[1]}x{known[0]}",
                 advice="calibrate it for this resolution",
             )
+
+    def in_pixels(self, shares: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return `column` and `row` from shares of the size of the image [px]; others stay."""
+        size = {"column": self.width or 2.0 * self.cx, "row": self.height or 2.0 * self.cy}
+        return {role: size.get(role, 1.0) * values for role, values in shares.items()}
 
     def directions(
         self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int] | None = None

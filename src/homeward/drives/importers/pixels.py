@@ -127,7 +127,7 @@ class Pixels:
                 tags["size"] = np.full(len(corners), self.tag_size)
             return bearings(tags, lens, shape)
         if self.is_share:
-            values = _in_pixels(values, lens)
+            values = lens.in_pixels(values)
         column, row = values["column"], values.get("row")
         row = np.full_like(column, lens.cy) if row is None else row
         return bearings(dict(zip(POINT, _seen(column, row), strict=True)), lens, shape)
@@ -299,12 +299,6 @@ def _is_inside(one: Sheet, columns: dict[str, Column], cameras: Calibrations) ->
     return True
 
 
-def _in_pixels(values: Mapping[str, np.ndarray], lens: Lens) -> dict[str, np.ndarray]:
-    """Return columns and rows of shares of the size of the image [px]."""
-    size = {"column": lens.width or 2.0 * lens.cx, "row": lens.height or 2.0 * lens.cy}
-    return {role: size[role] * v if role in size else v for role, v in values.items()}
-
-
 def _are_pixels(one: Sheet, columns: Mapping[str, Column], cameras: Calibrations) -> bool:
     """Whether there are intrinsics, and the values are pixels of the camera's image."""
     if not cameras and "fx" not in columns:
@@ -407,7 +401,7 @@ def _problem(table: Table, lenses: Calibrations, is_share: bool = False) -> Inpu
     """Return the error of values that are no pixels of their camera's image; None if they are."""
     parts = [(table.rows(use), lenses[name]) for name, use in _by_camera(table.columns)]
     if is_share:
-        parts = [(replace(p, columns=_in_pixels(p.columns, lens)), lens) for p, lens in parts]
+        parts = [(replace(p, columns=lens.in_pixels(p.columns)), lens) for p, lens in parts]
     found = (_problem_of_one(part, lens) for part, lens in parts)
     return next((problem for problem in found if problem), None)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeAlias
 
@@ -225,6 +225,7 @@ OPTICAL_BY_DATA = (
     "positions in {} in optical axes (x right, z ahead) according to their values, although the "
     "name of their frame {!r} does not end in optical; add axes: body to the topic if that is wrong"
 )
+SHARES = "pixels that are shares of the size of the image, as all of them are at most 1"
 CameraOf: TypeAlias = Callable[[], Lens | None]
 """Returns the camera, or None while it is unknown."""
 
@@ -317,8 +318,11 @@ class SightingRows:
         Elevation, sigma and range are NaN where unknown.
         """
         values = self._values()
-        in_image = self.form in ("pixel", "corners")
-        found = bearings(values, self._model() if in_image else None)
+        lens = self._model() if self.form in ("pixel", "corners") else None
+        if lens is not None and self.form == "pixel" and self._are_shares(values):
+            values = lens.in_pixels(values)
+            self._remarks.count(SHARES, len(self))
+        found = bearings(values, lens)
         unknown = np.full(len(self), np.nan)
         bearing, sigma = found["bearing"], found.get("sigma", unknown)
         if self.form != "position" and self.in_reference.heading:  # otherwise unchanged
@@ -334,6 +338,11 @@ class SightingRows:
         is_valid = np.isfinite(bearing)
         self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
         return {name: values[is_valid] for name, values in columns.items()}
+
+    def _are_shares(self, values: Mapping[str, np.ndarray]) -> bool:
+        """Whether pixels are shares of the size of the image."""
+        points = np.stack([values[role] for role in ROLES["pixel"]])
+        return bool(points.size and points.min() >= 0.0 and points.max() <= 1.0)
 
     def _values(self) -> dict[str, np.ndarray]:
         """Return what the messages contain, by role; points in the frame of the reference camera.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Collection, Container
 
 from homeward.drives.ros.kinds import BEARINGS, OUR_HOME, OUR_TRUTH, POSE
 from homeward.drives.ros.measurements.extrinsics import TF_STATIC
@@ -36,6 +36,8 @@ from homeward.drives.ros.topics.survey import Topic, TopicSurvey
 from homeward.drives.ros.wpilog import MODULE_STATES
 from homeward.errors import InputError
 
+MOUNT = "mount: {base: base_link}"
+"""Line of a topics file: camera extrinsics from transforms."""
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -88,7 +90,7 @@ def use_of(topic: Topic) -> tuple[str, str]:
     return next(((words, form) for types, words, form in USES if topic.type in types), ("", ""))
 
 
-def draft_of(topics: Iterable[Topic], plan: LogSettings | None) -> str:
+def draft_of(topics: Collection[Topic], plan: LogSettings | None) -> str:
     """Return a topics file to complete: the odometry, and all possible bearings.
 
     Empty where no topic can be used as bearings. `plan` has the choices that are already made.
@@ -102,7 +104,8 @@ def draft_of(topics: Iterable[Topic], plan: LogSettings | None) -> str:
     if not any(bearings):
         return ""
     motion = next(filter(None, motions), "odometry: {topic: TOPIC}")
-    return "\n".join([motion, "bearings:", *bearings, "home: {at: 0}"])
+    frames = [MOUNT] * (len(bearings) > 1 and any(t.name == TF_STATIC for t in topics))
+    return "\n".join([motion, "bearings:", *filter(None, bearings), *frames, "home: {at: 0}"])
 
 
 def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> LogSettings:
@@ -161,7 +164,10 @@ def _of_best_type(
     if len(found) > 1 and found[0].type != POINT:
         kind, names = found[0].type, ", ".join(t.name for t in found)
         advice = f"name one under {what} in a topics file"
-        advice += ", or several, each with its sensor" if what == "bearings" else ""
+        if what == "bearings":
+            advice += ", or several, each with its sensor"
+            if any(t.name == TF_STATIC for t in survey.topics):
+                advice += f" or all by {TF_STATIC} with {MOUNT}"
         raise InputError(f"several topics of {kind}: {names}", survey.log.path, advice=advice)
     return found
 
