@@ -103,7 +103,7 @@ class Lens(Camera):
     def in_pixels(self, shares: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return `column` and `row` from shares of the size of the image [px]; others stay."""
         size = {"column": self.width or 2.0 * self.cx, "row": self.height or 2.0 * self.cy}
-        return {role: size.get(role, 1.0) * values for role, values in shares.items()}
+        return {role: size[role] * v if role in size else v for role, v in shares.items()}
 
     def directions(
         self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int] | None = None

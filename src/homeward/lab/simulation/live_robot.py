@@ -242,7 +242,9 @@ async def play(
         )
     except (OSError, TimeoutError) as error:
         reason = getattr(error, "strerror", None) or str(error) or f"no answer in {HELLO_S:g} s"
-        raise InputError(f"no session at {place.host}:{place.port}: {reason}") from error
+        advice = f"start one with `homeward live --tcp {place.port}`"
+        problem = f"no session at {place.host}:{place.port}: {reason}"
+        raise InputError(problem, advice=advice) from error
 
     def send(message: Input) -> None:
         writer.write(line_of(message).encode())

@@ -32,6 +32,7 @@ GAP_IN = 0.06
 """Minimum gap between tick labels [inch]."""
 
 _STYLE: dict[str, Any] = {
+    "axes.formatter.min_exponent": 3,  # 0.06 on a logarithmic axis, not 6 x 10^-2
     "font.size": 9.0,
     "axes.labelsize": 9.0,
     "axes.labelpad": 7.0,

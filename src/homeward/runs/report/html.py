@@ -77,8 +77,8 @@ def contents(parts: Iterable[Markup]) -> Markup:
 
 
 def summary(text: str) -> Markup:
-    """Return a paragraph in large type."""
-    return Markup('<p class="summary">{}</p>').format(text)
+    """Return a paragraph in large type, with no line break between a number and its %."""
+    return Markup('<p class="summary">{}</p>').format(text.replace(" %", "\N{NO-BREAK SPACE}%"))
 
 
 def paragraph(text: str) -> Markup:
