@@ -24,6 +24,7 @@ from homeward.odometry.validity import (
     MAX_SPEED,
     MAX_TURN_ACCELERATION,
     MAX_TURN_RATE,
+    MAX_TWIST_VALIDITY_S,
     TWIST_VALIDITY_S,
     twist_validity,
 )
@@ -56,6 +57,20 @@ ROUNDED = (
     "odometry rows with speeds in steps of {:.3g} m/s, coarse for this robot: distances may have "
     "an error of {:.0%}; record more digits, or poses"
 )
+IMPLAUSIBLE = (
+    "Odometry reported impossible motion {} times, first at {:.2f} s (speed or acceleration no "
+    "wheeled robot has, or not a number). The motion up to the next twist was treated as unknown, "
+    "so the pose is less certain there. Look for encoder resets, counter overflow or damaged "
+    "messages."
+)
+BEYOND_A_TURN = (
+    "{} bearings beyond a full turn were wrapped: convert them to rad if they are in degrees."
+)
+RARE = (
+    f"Odometry comes at intervals of more than {MAX_TWIST_VALIDITY_S:g} s, for which its motion is "
+    "unknown: convert its stamps to seconds if they are in another unit."
+)
+"""Notes on samples that come one by one, as to a localiser; the remarks are on whole files."""
 OTHER_CLOCK = "use stamps of one clock in seconds, and files that were recorded together"
 
 

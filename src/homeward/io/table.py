@@ -141,7 +141,7 @@ def read_csv(
     with text_lines(path, form.encoding) as lines:
         list(itertools.islice(lines, form.skip))
         records = _csv_records(lines, path, form)
-        row, header = (0, form.names) if form.names else next(records, (1, None))
+        row, header = (form.skip, form.names) if form.names else next(records, (1, None))
         if header is None:
             raise InputError("empty file", path)
         wanted = {**required, **(optional or {})}

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from homeward.drives.plausibility import BEYOND_A_TURN, IMPLAUSIBLE, RARE
 from homeward.drives.robot import with_camera
 from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.geometry.statistics import MAD_TO_SIGMA
@@ -54,19 +55,6 @@ DEAD = (
 REASON = (
     "odometry reports no motion, but bearings changed by {:.0f} degrees: check the odometry; "
     "without it and without surveyed landmarks nothing can be mapped"
-)
-IMPLAUSIBLE = (
-    "Odometry reported impossible motion {} times, first at {:.2f} s (speed or acceleration no "
-    "wheeled robot has, or not a number). The motion up to the next twist was treated as unknown, "
-    "so the pose is less certain there. Look for encoder resets, counter overflow or damaged "
-    "messages."
-)
-BEYOND_A_TURN = (
-    "{} bearings beyond a full turn were wrapped: convert them to rad if they are in degrees."
-)
-RARE = (
-    f"Odometry comes at intervals of more than {MAX_TWIST_VALIDITY_S:g} s, for which its motion is "
-    "unknown: convert its stamps to seconds if they are in another unit."
 )
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,7 +45,7 @@ from homeward.localizer.tunables import (
     YAW_TOLERANCE,
     YAW_TOLERANCE_OFF_CENTRE,
 )
-from homeward.odometry.history import TwistHistory
+from homeward.odometry.history import dead_reckoning_unwrapped
 from homeward.reasons import Reason
 from homeward.sighting_keys import is_followed
 
@@ -113,17 +114,20 @@ def note_of_whole(drive: Drive) -> str:
     check of the localiser, which uses the parallax. Empty where it confirms the sense of a camera
     at any time: a fault of the odometry may reverse a part of a drive.
     """
-    if not drive.settings.check_senses or senses_of(drive).sense is not None:
+    is_decided = not drive.settings.check_senses or senses_of(drive).sense is not None
+    if is_decided or not (drive.odometry.t.size and drive.sightings.t.size):
         return ""
-    twists, checks, o = TwistHistory(), SignChecks(drive.settings), drive.odometry
-    for t, v, omega, vy in zip(*(c.tolist() for c in (o.t, o.v, o.omega, o.vy)), strict=True):
-        twists.add(t, v, omega, vy=vy)
-    frames = zip(drive.sightings.stamps(), drive.sightings.cameras(), strict=True)
-    for (t, seen, _), camera in frames:
+    stamps = drive.sightings.t[drive.sightings.begins]
+    times, straight = np.subtract.outer(stamps, SIGN_LAGS_S), np.zeros_like(drive.odometry.omega)
+    path = dead_reckoning_unwrapped(replace(drive.odometry.bridged, omega=straight), times.ravel())
+    turned = dead_reckoning_unwrapped(drive.odometry, times.ravel())
+    reckoned = np.stack([turned.heading, path.x, path.y], axis=1).reshape(*times.shape, 3)
+    frames = zip(drive.sightings.stamps(), drive.sightings.cameras(), reckoned, strict=True)
+    checks = SignChecks(drive.settings)
+    for (t, seen, _), camera, here in frames:
         followed = {n: b for n, b in seen.items() if is_followed(n) and math.isfinite(b)}
-        reckoned = twists.reckoned_at((t - SIGN_LAGS_S).tolist())
-        if followed and reckoned is not None:
-            checks.bearings(t, camera, followed, reckoned)
+        if followed and t >= drive.odometry.t[0]:
+            checks.bearings(t, camera, followed, here.T)
             if checks.is_confirmed:
                 return ""
     return " ".join(checks.notes) if checks.reason is Reason.SIGNS_REVERSED else ""
