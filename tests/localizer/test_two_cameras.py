@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -155,3 +156,10 @@ def test_home_by_a_turn_is_from_the_first_camera_by_the_sightings_of_both():
     off = [wrap(found.home[n].bearing - drive.home[n].bearing) for n in own]
     assert len(found.home) == 14
     assert np.std(off) < 3 * SIGMA
+
+
+def test_bearings_that_differ_by_next_to_nothing_give_no_warning():
+    points = np.array([[1.0, 0.0], [2.0, 0.0], [0.0, 3.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(poses_from_triples(points, np.array([0.0, 1e-310, 1.2]))) <= 1

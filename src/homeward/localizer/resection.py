@@ -245,7 +245,7 @@ def poses_from_triples(
     if len(bearings) < MINIMAL:
         return np.zeros((0, 3))
     triples = _triples(len(bearings))
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         if offsets is None:
             eyes = from_triples(points, *triples.T, *bearings[triples].T)
         else:
