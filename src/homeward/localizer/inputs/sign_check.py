@@ -49,6 +49,7 @@ from homeward.odometry.history import dead_reckoning_unwrapped
 from homeward.reasons import Reason
 from homeward.sighting_keys import is_followed
 
+ANTI_CLOCKWISE = "both must be anti-clockwise."
 _YAWS = YAW_STEP * np.arange(round(math.tau / YAW_STEP))
 _ACROSS = np.array([-np.sin(_YAWS), np.cos(_YAWS)])
 """(2, k): real and imaginary part of a complex number to the imaginary part, turned back."""
@@ -130,7 +131,8 @@ def note_of_whole(drive: Drive) -> str:
             checks.bearings(t, camera, followed, here.T)
             if checks.is_confirmed:
                 return ""
-    return " ".join(checks.notes) if checks.reason is Reason.SIGNS_REVERSED else ""
+    # Where a yaw of the camera seems wrong, too, it may be the only error.
+    return next((note for note in checks.notes if note.endswith(ANTI_CLOCKWISE)), "")
 
 
 class SignCheck:
@@ -222,7 +224,7 @@ class SignCheck:
         if self._name:
             other, whose = f" of camera {quoted(self._name)}", "its"
         if self.is_reversed:
-            words = f"Bearings{other} and turn rates go opposite ways; both must be anti-clockwise."
+            words = f"Bearings{other} and turn rates go opposite ways; {ANTI_CLOCKWISE}"
             mirrored = math.remainder(error + 2.0 * given, math.tau)
             if min(abs(error), abs(mirrored)) <= (self._tolerance + 0.5) * YAW_STEP:
                 return words
