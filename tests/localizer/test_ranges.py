@@ -250,7 +250,7 @@ def test_ranges_are_not_used_after_the_odometry_has_changed():
     rig.drive(20.0)
     smoother = rig.localizer.chart.map.smoother
     before = smoother.range_over_odometry
-    smoother.change_odometry(smoother.newest - 5)
+    smoother.change(SPEED_SCALE, smoother.newest - 5, 0.0)
     assert smoother.range_over_odometry == before
     assert before[0] == pytest.approx(1.1, abs=0.1)
     assert not smoother.range_deviations(0).size

@@ -19,13 +19,12 @@ from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.gating import Gated
-from homeward.localizer.map.learning.changes import ModelChange
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import OdometryIntegrator, ProcessNoise, calibration_sigmas
-from homeward.localizer.motions import HEAD, Motion
+from homeward.localizer.motions import CAMERA_YAW, HEAD, SPEED_SCALE, Motion
 from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.faces import (
     EstimatedCalibration,
@@ -187,12 +186,12 @@ class Chart:
             )
         try:
             self.map.learn(everything)
-            jump = self.map.camera_jump.proved
-            if jump is not None and jump.keyframe > self.map.smoother.first:
-                self._turn_camera(jump)
-            change = self.map.odometry_change.proved
-            if change is not None and change.keyframe > self.map.smoother.first:
-                self.map.change_odometry(change)
+            for state in self.map.changes:
+                change = self.map.changes[state].proved
+                if change is not None and change.keyframe > self.map.smoother.first:
+                    if state == CAMERA_YAW:
+                        self._turn_camera(change.size)
+                    self.map.change(change)
             self.map.landmarks.activate(in_view)
         except np.linalg.LinAlgError:
             self.counts.reject(Rejection.MAP_RESET)
@@ -200,13 +199,12 @@ class Chart:
             return True
         return False
 
-    def _turn_camera(self, jump: ModelChange) -> None:
-        """Turn the camera on the robot, but not at home, where it saw the home bearings."""
+    def _turn_camera(self, size: float) -> None:
+        """Turn the camera by `size` [rad], but not at home, where it saw the home bearings."""
         self.home.observation.fix_camera(self.map.smoother.state.calibration)
         x, y, yaw = self.home.observation.mount.tolist()
-        turned, home = self.extrinsics.turn(jump.size), Mount(x=x, y=y, yaw=yaw)
+        turned, home = self.extrinsics.turn(size), Mount(x=x, y=y, yaw=yaw)
         self.drive = self.drive.model_copy(update={"sensor": turned, "home_sensor": home})
-        self.map.turn_camera(jump)
 
     def finalise(self, whole: Smoother) -> bool:
         """Find home again by the solution of a whole drive, also for `landmarks`.
@@ -257,9 +255,10 @@ class Chart:
             if self._known.landmarks:
                 doubt = self.map.registration.survey.contradiction(self._in_view)
             is_open = self.extrinsics.is_turn_open(state.calibration_variances)
-            if self.map.camera_jump.is_suspected or is_open:
+            if self.map.changes[CAMERA_YAW].is_suspected or is_open:
                 doubt = Reason.CAMERA_TURNED.words
-            if self.map.odometry_change.is_suspected or self.map.is_scale_open:
+            is_open = self.map.smoother.is_scale_open
+            if self.map.changes[SPEED_SCALE].is_suspected or is_open:
                 doubt = Reason.ODOMETRY_CHANGED.words
             if self.map.smoother.is_unsolved:
                 doubt = doubt or Reason.UNSOLVED.words

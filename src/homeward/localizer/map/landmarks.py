@@ -308,8 +308,8 @@ class Landmarks:
 
     def _at_range(self, name: str, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the position of a new landmark by ranges, and which sightings agree with it."""
-        are_used = self.smoother.range_ratio > 0.0
-        if name in self.mapped or not (are_used and (rows[:, RANGE_SIGMA] > 0.0).any()):
+        are_used = self.smoother.uses_ranges and (rows[:, RANGE_SIGMA] > 0.0).any()
+        if name in self.mapped or not are_used:
             return None
         ranges = rows[:, LOG_RANGE:].copy()
         ranges[:, 0] -= self.smoother.range_scale

@@ -46,7 +46,6 @@ from homeward.localizer.tunables import (
     LONG_WINDOW,
     MAX_IDS,
     MAX_PER_KEYFRAME,
-    MIN_CHANGE,
     NEGLIGIBLE,
     STANDSTILL,
 )
@@ -99,12 +98,10 @@ class Map:
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         survey = Survey(known, settings, drive.together)
         self.registration = Registration(survey, self.landmarks)
-        self.camera_jump, self.odometry_change = ChangeTest(), ChangeTest()
+        self.changes = {CAMERA_YAW: ChangeTest(), SPEED_SCALE: ChangeTest()}
         """Tests for a knocked camera, and for another scale of the odometry."""
         self._num_doubted = 0
         """Number of solutions since one of them has been suspected."""
-        self._scale_before: float | None = None
-        """Scale of the speed before it changed, until it is that again [1]; None: no change."""
         self.denied_at = -settings.window
         """Newest keyframe at which bearings denied a motion: then the window is solved often."""
         self.begun = t
@@ -201,20 +198,15 @@ class Map:
 
     def _test_changes(self) -> None:
         """Test the last solution for a knocked camera, and for another scale of the odometry."""
-        widest = self._extrinsics.widest(self.smoother.state.scale)
-        self.camera_jump.add_yaw(self.smoother, widest)
-        self.odometry_change.add_scale(self.smoother, self.camera_jump.square)
-        if self.odometry_change.square > self.camera_jump.square:
-            self.camera_jump = ChangeTest()
-        if self.camera_jump.possible is not None or self.odometry_change.is_suspected:
+        camera, odometry = self.changes.values()
+        camera.add_yaw(self.smoother, self._extrinsics.widest(self.smoother.state.scale))
+        odometry.add_scale(self.smoother, camera.square)
+        if odometry.square > camera.square:
+            camera = self.changes[CAMERA_YAW] = ChangeTest()
+        if camera.possible is not None or odometry.is_suspected:
             self.denied_at = self.smoother.newest
-        is_suspected = self.camera_jump.is_suspected or self.odometry_change.is_suspected
+        is_suspected = camera.is_suspected or odometry.is_suspected
         self._num_doubted = self._num_doubted + 1 if is_suspected else 0
-        if self._scale_before is not None:
-            change = abs(float(self.smoother.state.calibration[SPEED_SCALE]) - self._scale_before)
-            sigma = math.sqrt(self.smoother.state.calibration_variances[SPEED_SCALE])
-            if change + INLIER * sigma < MIN_CHANGE:
-                self._scale_before = None
 
     @property
     def has_doubt(self) -> bool:
@@ -231,30 +223,14 @@ class Map:
         if self.landmarks.mapped:
             self._learner.learn_odometry(self.smoother)
 
-    def turn_camera(self, jump: ModelChange) -> None:
-        """Turn the camera on the robot; see `Smoother.turn_camera`."""
-        self._mount[2] += jump.size
-        self.smoother.mount_sigmas = self._extrinsics.sigmas
-        self.smoother.turn_camera(jump.keyframe, jump.size)
+    def change(self, proved: ModelChange) -> None:
+        """Apply a change of the camera or the odometry; see `Smoother.change`."""
+        if proved.state == CAMERA_YAW:
+            self._mount[2] += proved.size
+            self.smoother.mount_sigmas = self._extrinsics.sigmas
+        self.smoother.change(proved.state, proved.keyframe, proved.size)
         self.landmarks.drop_candidates_before(self.smoother.first)
-        self.camera_jump = ChangeTest()
-        self._solve()
-
-    @property
-    def is_scale_open(self) -> bool:
-        """Whether the speed has changed its scale, and is not known to have the former one again.
-
-        Wheels that spin or slip do so by another factor the next moment.
-        """
-        return self._scale_before is not None
-
-    def change_odometry(self, change: ModelChange) -> None:
-        """Free the scale of the speed; see `Smoother.change_odometry`."""
-        if self._scale_before is None:
-            self._scale_before = float(self.smoother.state.calibration[SPEED_SCALE])
-        self.smoother.change_odometry(change.keyframe)
-        self.landmarks.drop_candidates_before(self.smoother.first)
-        self.odometry_change = ChangeTest()
+        self.changes[proved.state] = ChangeTest()
         self._solve()
 
     def _count_ranges(self) -> None:
@@ -493,8 +469,8 @@ class Map:
         longest = min(longest, settings.longest_window)
         since = smoother.newest - longest
         needed = self.landmarks.first_needed(settings.mature_parallax, since)
-        if self.camera_jump.possible is not None:
-            needed = min(needed, self.camera_jump.possible.keyframe - 1)
+        if (jump := self.changes[CAMERA_YAW].possible) is not None:
+            needed = min(needed, jump.keyframe - 1)
         count = max(min(spare, needed - smoother.first), kept - longest)
         if count > 0:
             self.landmarks.drop_undetermined(smoother.first + count)

@@ -75,9 +75,11 @@ from homeward.localizer.reference.window import (
 from homeward.localizer.tunables import (
     FIXED_TIME_CONSTANT_S,
     INFINITY_RATIO,
+    INLIER,
     LAG_GATE,
     LINEAR,
     MIN_CALIBRATION_SIGMA,
+    MIN_CHANGE,
     MIN_IDLE,
     STALE_S,
 )
@@ -155,8 +157,8 @@ class Smoother:
         """Which of the calibration are kept at zero, since they would be negative without that."""
         self.range_ratio = 0.0
         """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
-        self._found_ranges: tuple[float, float] | None = None
-        """`range_over_odometry` before the odometry changed; ranges are not used since."""
+        self.scale_before: tuple[float, float] | None = None
+        """`speed_scale` before the odometry changed first; ranges are not used since."""
         self._poses = GrowingTable((3,))
         """(w, 3): poses of the keyframes in the window."""
         self._poses.add(np.zeros(3))
@@ -186,7 +188,7 @@ class Smoother:
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
-        whole._found_ranges = self._found_ranges
+        whole.scale_before = self.scale_before
         whole.one_sided, whole._bounded = self.one_sided, self._bounded
         whole.time_constant_prior = self.time_constant_prior
         whole.first = self.first - sum(len(part.poses) for part in closed)
@@ -248,13 +250,34 @@ class Smoother:
         return self.range_ratio * float(self.state.calibration[SPEED_SCALE])
 
     @property
+    def uses_ranges(self) -> bool:
+        """Whether ranges are used."""
+        return self.range_ratio > 0.0 and self.scale_before is None
+
+    @property
     def range_over_odometry(self) -> tuple[float, float]:
         """Ranges over distances from odometry, and the standard deviation of that [1]."""
-        if self._found_ranges is not None:
-            return self._found_ranges
-        both, state = 1.0 + self.range_ratio, self.state
-        scale = math.exp(both * state.calibration[SPEED_SCALE])
-        return scale, scale * both * math.sqrt(state.calibration_variances[SPEED_SCALE])
+        speed, sigma = self.scale_before or self.speed_scale
+        both = 1.0 + self.range_ratio
+        scale = math.exp(both * speed)
+        return scale, scale * both * sigma
+
+    @property
+    def speed_scale(self) -> tuple[float, float]:
+        """Estimated speed scale, and its standard deviation [1]."""
+        variance = self.state.calibration_variances[SPEED_SCALE]
+        return float(self.state.calibration[SPEED_SCALE]), math.sqrt(variance)
+
+    @property
+    def is_scale_open(self) -> bool:
+        """Whether the speed has changed its scale, and is not known to have the former one again.
+
+        Wheels that spin or slip do so by another factor the next moment.
+        """
+        if self.scale_before is None:
+            return False
+        scale, sigma = self.speed_scale
+        return abs(scale - self.scale_before[0]) + INLIER * sigma >= MIN_CHANGE
 
     def index(self, ids: np.ndarray) -> np.ndarray:
         """Return the indices in the state of landmarks with these ids, shape (m,)."""
@@ -483,29 +506,24 @@ class Smoother:
 
         return marginal
 
-    def turn_camera(self, keyframe: int, size: float) -> None:
-        """Turn the camera on the robot by `size` [rad] from a keyframe on, and solve the window.
+    def change(self, state: int, keyframe: int, size: float) -> None:
+        """Free a state of the calibration from a keyframe on, and solve the window.
 
-        Earlier keyframes are marginalised: the error of the new yaw is another one than before.
+        A camera is first turned on the robot by `size` [rad]. With another speed scale, ranges are
+        not used any more: their scale is a multiple of that. Earlier keyframes are marginalised:
+        the error of the new value is another one than before.
         `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
-        poses = self.poses.copy()
-        poses[keyframe - self.first :, 2] -= size
-        self._poses = GrowingTable.of(poses)
-        self.move_keyframe(self.newest, poses[-1])
-        self.frames.free[self.frames.keyframes >= keyframe, 2] += size
-        self.marginalise(keyframe - self.first, {CAMERA_YAW: LINEAR**2})
-        self.solve()
-
-    def change_odometry(self, keyframe: int) -> None:
-        """Free the scale of the speed from a keyframe on, and solve the window.
-
-        Ranges are not used any more: their scale is a multiple of that.
-        `numpy.linalg.LinAlgError` when the normal equations are singular.
-        """
-        self.marginalise(keyframe - self.first, {SPEED_SCALE: 1.0})
-        self._found_ranges = self.range_over_odometry
-        self.range_ratio = 0.0
+        is_yaw = state == CAMERA_YAW
+        if is_yaw:
+            poses = self.poses.copy()
+            poses[keyframe - self.first :, 2] -= size
+            self._poses = GrowingTable.of(poses)
+            self.move_keyframe(self.newest, poses[-1])
+            self.frames.free[self.frames.keyframes >= keyframe, 2] += size
+        self.marginalise(keyframe - self.first, {state: LINEAR**2 if is_yaw else 1.0})
+        if not is_yaw:
+            self.scale_before = self.scale_before or self.speed_scale
         self.solve()
 
     def marginalise(self, count: int, changes: Mapping[int, float] | None = None) -> None:
@@ -554,7 +572,7 @@ class Smoother:
 
     def range_deviations(self, since: int) -> np.ndarray:
         """Return the residuals of ranges from keyframe `since` on, (m,) [standard deviations]."""
-        if not self.range_ratio:
+        if not self.uses_ranges:
             return np.zeros(0)
         rows = self.sightings
         rows = rows[(rows[:, RANGE_SIGMA] > 0.0) & (rows[:, KEYFRAME] >= since)]
@@ -605,7 +623,7 @@ class Smoother:
     def _add_ranges(self, rows: np.ndarray) -> AddMore | None:
         """Return what adds the ranges in rows of the table; None: there are none."""
         rows = rows[rows[:, RANGE_SIGMA] > 0.0]
-        if not (len(rows) and self.range_ratio):
+        if not (len(rows) and self.uses_ranges):
             return None
         pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
         p_static = self.p_static[landmark]

@@ -40,8 +40,10 @@ from homeward.localizer.tunables import (
 
 
 class ModelChange(NamedTuple):
-    """Change of the camera's yaw [rad], or of the scale of the speed [1]."""
+    """Change of one state of the calibration: the camera's yaw [rad], or the speed scale [1]."""
 
+    state: int
+    """`CAMERA_YAW` or `SPEED_SCALE`."""
     keyframe: int
     """Number of the first keyframe after which it holds."""
     size: float
@@ -95,7 +97,9 @@ class ChangeTest:
         `numpy.linalg.LinAlgError` when the solution has become singular.
         """
         found = yaw_change(smoother, mount_sigmas)
-        square, evidence = (0.0, -math.inf) if found is None else (found.square, found[3])
+        square, evidence = 0.0, -math.inf
+        if found is not None:
+            square, evidence = found.square, found.log_bayes_factor
         is_linear = found is not None and abs(found.size) < LINEAR
         self._add(
             found,
@@ -148,7 +152,7 @@ def yaw_change(smoother: Smoother, mount_sigmas: np.ndarray) -> ModelChange | No
     share = both / np.maximum(extra.information[robot, robot], 1e-12 * own[at])
     information = extra.information[camera, camera] - share * both
     slope = extra.slope[camera] - share * extra.slope[robot]
-    found = _best_fit(smoother.first + at + 1, slope, information, LINEAR**-2.0)
+    found = _best_fit(CAMERA_YAW, smoother.first + at + 1, slope, information, LINEAR**-2.0)
     if found is None:
         return None
     motion = found.keyframe - 1 - smoother.first
@@ -174,13 +178,16 @@ def scale_change(smoother: Smoother) -> ModelChange | None:
     none = np.full(given.seen.pose.size, -1)
     unknown = Unknown(np.zeros((none.size, 1)), none, np.ones(at.size), by_motion)
     extra = kernels.extend(given, unknown)
-    return _best_fit(smoother.first + at, extra.slope, extra.information.diagonal(), 0.0)
+    information = extra.information.diagonal()
+    return _best_fit(SPEED_SCALE, smoother.first + at, extra.slope, information, 0.0)
 
 
 def _best_fit(
-    keyframes: np.ndarray, slope: np.ndarray, information: np.ndarray, least: float
+    state: int, keyframes: np.ndarray, slope: np.ndarray, information: np.ndarray, least: float
 ) -> ModelChange | None:
-    """Return the most probable of changes at k keyframes; None if none has the `least` information.
+    """Return the most probable change of a state at one of k keyframes (k,).
+
+    None if none has the `least` information.
 
     `information` and `slope` (k,) are of each, all else being marginalised.
     """
@@ -189,6 +196,5 @@ def _best_fit(
     k = int(square.argmax())
     if not observable[k]:
         return None
-    return ModelChange(
-        int(keyframes[k]), float(slope[k] / information[k]), float(information[k] ** -0.5)
-    )
+    size, sigma = float(slope[k] / information[k]), float(information[k] ** -0.5)
+    return ModelChange(state, int(keyframes[k]), size, sigma)
