@@ -11,25 +11,26 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from enum import Enum, auto
-from itertools import combinations
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from homeward.estimator import MIN_AGREEING, Innovation
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import position_sigma
 from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.map.bodies import Bodies
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.survey.evidence import tested
+from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motions import Motion
 from homeward.localizer.recovery.relocalise import Displacement, Search
 from homeward.localizer.tunables import (
-    CLOSE,
     FALSE_ALARM,
     INLIER,
     LINEAR,
@@ -380,22 +381,6 @@ class Monitor:
         return not self.is_lost and self._kidnap.fit_share >= 1.0 - 1.0 / RECENT
 
 
-@dataclass(frozen=True)
-class Displaced:
-    """Positions of k landmarks before and after they moved."""
-
-    before: np.ndarray
-    """(k, 2) [m]"""
-    now: np.ndarray
-    """(k, 2) [m]"""
-    variance: np.ndarray
-    """(k,): variance of a coordinate of the difference, the larger one [m^2]."""
-    last: np.ndarray
-    """(k,): last keyframe that saw them at the old position."""
-    first: np.ndarray
-    """(k,): first keyframe that saw them at the new position."""
-
-
 def carried_since(landmarks: Landmarks) -> int | None:
     """Return the keyframe after which the robot was carried, None if it was not.
 
@@ -403,42 +388,41 @@ def carried_since(landmarks: Landmarks) -> int | None:
     place, the odometry frame itself moved: the robot was lifted and put down where little of its
     map was in sight. Then landmarks mapped before and after are not in one frame.
 
-    The evidence is in landmarks that were declared moved.
+    The evidence is in landmarks that were declared moved. Their former positions are tested as a
+    survey is: those that moved otherwise are its outliers.
     """
     mapped, former = landmarks.mapped, landmarks.former
-    pairs = [(was, mapped[n]) for n, was in former.items() if n in mapped]
-    if len(pairs) < MIN_TOGETHER:
+    names = sorted(former.keys() & mapped.keys(), key=lambda name: mapped[name].number)
+    if len(names) < MIN_TOGETHER:
         return None
-    before, covariance = landmarks.places(was for was, _ in pairs)
-    now, more = landmarks.places(is_ for _, is_ in pairs)
-    displaced = Displaced(
-        before,
-        now,
-        position_sigma(covariance + more) ** 2,
-        np.array([was.last for was, _ in pairs]),
-        np.array([is_.first for _, is_ in pairs]),
+    ids, (places, covariances) = landmarks.ids(names), landmarks.places(former[n] for n in names)
+    free, even = landmarks.smoother.all_landmarks.joint(ids), np.full(ids.size, 0.5)
+    size = float(np.ptp(np.concatenate([places, free.positions]), axis=0).max())
+    survey = replace(
+        SurveyFactors.none(), ids=ids, places=places, covariance=block_diag(*covariances)
     )
-    stayed = [m for n, m in mapped.items() if n not in former]
-    entered, last = np.array([m.first for m in stayed]), np.array([m.last for m in stayed])
-    return carried_at(displaced, entered, last)
+    try:
+        wrong = tested(survey, free, ids, even, size, Bodies.none(ids.size)).wrong.tolist()
+    except np.linalg.LinAlgError:  # too uncertain for a test
+        return None
+    together = [name for name, p in zip(names, wrong, strict=True) if p < 0.5]
+    moved = [(former[n].last, mapped[n].first) for n in together]
+    stayed = [(m.first, m.last) for n, m in mapped.items() if n not in former]
+    return carried_at(moved, stayed)
 
 
-def carried_at(displaced: Displaced, entered: np.ndarray, last: np.ndarray) -> int | None:
+def carried_at(moved: list[tuple[int, int]], stayed: list[tuple[int, int]]) -> int | None:
     """Return the keyframe after which the robot was carried, or None if it was not.
 
-    `displaced` are landmarks that were declared moved; the others (m,) were initialised at the
-    keyframes `entered`, and last fitted at `last`.
+    Of landmarks that `moved` by one motion, the last keyframe that saw each at the old position,
+    and the first one at the new; of others, the keyframes of their first and last sightings.
     """
-    together = moved_together(displaced)
-    if together.sum() < MIN_TOGETHER:
-        return None
-    moved_last, moved_first = displaced.last[together], displaced.first[together]
     best, when = 0, None
-    for k in sorted(set(moved_last.tolist())):
-        moved = int(((moved_last <= k) & (moved_first >= k)).sum())
-        stayed = int(((entered <= k) & (last > k)).sum())
-        if moved >= MIN_TOGETHER and moved - stayed > best:
-            best, when = moved - stayed, k
+    for k in sorted({last for last, _ in moved}):
+        number = sum(last <= k <= first for last, first in moved)
+        lead = number - sum(first <= k < last for first, last in stayed)
+        if number >= MIN_TOGETHER and lead > best:
+            best, when = lead, k
     return when
 
 
@@ -468,25 +452,3 @@ def _log_distances(known: Landmarks, names: list[str]) -> tuple[np.ndarray, np.n
     jacobian[rows, Marginal.columns(j)] = -apart / square[:, None]
     variance = ((jacobian @ state.covariance) * jacobian).sum(axis=1)
     return 0.5 * np.log(square), variance
-
-
-def moved_together(displaced: Displaced) -> np.ndarray:
-    """Return the largest set of landmarks that moved by one rigid motion, shape (k,), bool."""
-    before, now = displaced.before, displaced.now
-    most = np.zeros(len(before), bool)
-    reach = CLOSE * float(np.hypot(*np.ptp(before, axis=0))) if len(before) else 0.0
-    for i, j in combinations(range(len(before)), 2):
-        a, b = before[j] - before[i], now[j] - now[i]
-        turn = wrap(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0]))
-        c, s = np.cos(turn), np.sin(turn)
-        middle = 0.5 * (before[i] + before[j])
-        there = (before - middle) @ np.array([[c, s], [-s, c]]) + 0.5 * (now[i] + now[j])
-        # The two that define the motion err, too, all the more the closer they are.
-        lever = np.hypot(*(before - middle).T) / max(float(np.hypot(*a)), 1e-9)
-        pair = displaced.variance[i] + displaced.variance[j]
-        sigma = np.sqrt(displaced.variance + pair * (0.25 + lever**2))
-        off = np.hypot(*(now - there).T)
-        fits = off < np.minimum(INLIER * sigma, reach)
-        if fits[i] and fits[j] and fits.sum() > most.sum():
-            most = fits
-    return most
