@@ -8,20 +8,18 @@ import pytest
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import sight
-from homeward.localizer.motions import NC, Motion
 from homeward.localizer.recovery.monitor import Monitor
-from homeward.localizer.recovery.relocalise import Displacement
+from homeward.localizer.recovery.relocalise import Displacement, at_pose
 
 AROUND = np.linspace(0.0, math.tau, 8, endpoint=False)
 PLACES = {f"L{i}": 3.0 * np.array([math.cos(a), math.sin(a)]) for i, a in enumerate(AROUND)}
 HERE, ELSEWHERE = np.zeros(3), np.array([0.8, 0.4, 0.2])
 SMALL = 1e-4 * np.eye(3)
-NOTHING = Motion(np.zeros(3), np.zeros((3, 3)), np.zeros((3, NC)))
 
 
 def displacement(found=ELSEWHERE, odometry=HERE, uncertain=SMALL):
     """A robot that was found at a pose, and by odometry would be at another one."""
-    return Displacement((found, SMALL), NOTHING, (odometry, uncertain), 3.0)
+    return Displacement(at_pose(found, SMALL), at_pose(odometry, uncertain), 3.0)
 
 
 def add(displaced, names, static=(), found=ELSEWHERE):
@@ -96,10 +94,10 @@ def test_a_displacement_ends_where_the_map_finds_the_robot_where_odometry_has_it
 
 
 def test_the_pose_without_a_displacement_follows_the_motion_since():
-    pose, covariance = displacement().without(ELSEWHERE, SMALL)
-    assert pose == pytest.approx(HERE)
-    assert covariance == pytest.approx(2.0 * SMALL)
+    now = displacement().without(at_pose(ELSEWHERE, SMALL))
+    assert now.delta == pytest.approx(HERE)
+    assert now.covariance == pytest.approx(2.0 * SMALL)
     driven = np.array([ELSEWHERE[0] - math.sin(0.2), ELSEWHERE[1] + math.cos(0.2), 0.2])
-    pose, covariance = displacement().without(driven, SMALL)  # 1 m to the left
-    assert pose == pytest.approx([0.0, 1.0, 0.0])
-    assert covariance[0, 0] == pytest.approx(3e-4)  # the heading's error times 1 m, too
+    now = displacement().without(at_pose(driven, SMALL))  # 1 m to the left
+    assert now.delta == pytest.approx([0.0, 1.0, 0.0])
+    assert now.covariance[0, 0] == pytest.approx(3e-4)  # the heading's error times 1 m, too

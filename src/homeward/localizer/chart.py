@@ -35,16 +35,16 @@ from homeward.localizer.output.faces import (
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.monitor import Health, Monitor, carried_since, odometry_lost
-from homeward.localizer.recovery.relocalise import by_odometry, find_by_frame, pose_reset
+from homeward.localizer.recovery.relocalise import at_pose, by_odometry, find_by_frame, pose_reset
 from homeward.localizer.recovery.survey_fix import FirstFix, Resected, Resection
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     ADVANCE_S,
-    INTEGRATED_AGAIN_S,
     MEMORY_OF_LAG_S,
     RESECTION_S,
     SLIP_MEMORY_S,
     SLIP_SHARE,
+    WINDOW_S,
 )
 from homeward.odometry.history import Driven, Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
@@ -130,7 +130,7 @@ class Chart:
     @property
     def _integrable_since(self) -> float:
         """Since when motions in the window can be integrated again [s]."""
-        return max(self.map.smoother.stamps[0], self.odometry.end - INTEGRATED_AGAIN_S)
+        return max(self.map.smoother.stamps[0], self.odometry.end - WINDOW_S)
 
     def add_bearings(self, frame: BearingFrame, reckoned: Reckoned, now: float) -> list[Innovation]:
         """Process all bearings of one stamp; return their innovations.
@@ -412,8 +412,8 @@ class Chart:
         state, seconds = self.map.smoother.state, seen.t - self.map.smoother.stamps[-1]
         reckoned = self._at_keyframe, self._twists.at(seen.t)
         odometry = by_odometry(state, *reckoned, self.process_noise.rates, seconds)
-        self.monitor.displace(found, since, odometry, state.scale)
-        return self._reset_pose(seen, found, since)
+        self.monitor.displace(at_pose(*found).compose(since), odometry, state.scale)
+        return self._reset_pose(seen, at_pose(*found), since)
 
     def _undo_displacement(self, gated: Gated) -> bool:
         """Reset the pose to that by odometry, since landmarks moved together, not the robot."""
@@ -421,11 +421,9 @@ class Chart:
         self.map.landmarks.declare_moved(moved, gated.frame.t)
         return self._reset_pose(gated.frame, found, gated.motion)
 
-    def _reset_pose(
-        self, seen: WeighedFrame, found: tuple[np.ndarray, np.ndarray], since: Motion
-    ) -> bool:
+    def _reset_pose(self, seen: WeighedFrame, found: Motion, since: Motion) -> bool:
         """Reset the pose to one that was `found`, and a motion since then; return True."""
-        reset = pose_reset(self.map.smoother.state.mean[:3], *found).compose(since)
+        reset = pose_reset(self.map.smoother.state.mean[:3], found).compose(since)
         try:
             self.map.reset_pose(seen, reset)
         except np.linalg.LinAlgError:

@@ -29,7 +29,7 @@ from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motions import Motion
-from homeward.localizer.recovery.relocalise import Displacement, Search
+from homeward.localizer.recovery.relocalise import Displacement, Search, at_pose
 from homeward.localizer.tunables import (
     FALSE_ALARM,
     INLIER,
@@ -292,28 +292,18 @@ class Monitor:
         self._kidnap.clear()
         self._slip.clear()
 
-    def displace(
-        self,
-        found: tuple[np.ndarray, np.ndarray],
-        since: Motion,
-        odometry: tuple[np.ndarray, np.ndarray],
-        scale: float,
-    ) -> None:
-        """Declare the robot displaced, if it is not where odometry has it.
-
-        It was `found` a motion before, and would be elsewhere by `odometry` since the newest
-        keyframe: poses (3,) with covariances (3, 3). `scale` is the distance of landmarks [m].
-        """
+    def displace(self, found: Motion, odometry: Motion, scale: float) -> None:
+        """Declare the robot displaced, if it is not where odometry has it; see `Displacement`."""
         if self.displacement is not None:
-            odometry = self.displacement.without(*odometry)
-        displaced = Displacement(found, since, odometry, scale)
+            odometry = self.displacement.without(odometry)
+        displaced = Displacement(found, odometry, scale)
         self.displacement = None if displaced.is_none else displaced
 
-    def undo_displacement(self, state: Marginal) -> tuple[tuple[np.ndarray, np.ndarray], list[str]]:
+    def undo_displacement(self, state: Marginal) -> tuple[Motion, list[str]]:
         """Return the pose at the newest keyframe by odometry, and the landmarks that moved."""
         wrong, self.displacement = self.displacement, None
         assert wrong is not None
-        return wrong.without(state.mean[:3], state.covariance[:3, :3]), wrong.moved
+        return wrong.without(at_pose(state.mean[:3], state.covariance[:3, :3])), wrong.moved
 
     def end_search(self, t: float, keyframe: int) -> None:
         """Declare the robot relocalised at `t` [s], at a new keyframe."""

@@ -248,62 +248,49 @@ def _parallax(last: Sighting, bearing: float, camera: Motion) -> float:
     return float(wrap(camera.delta[2] + bearing - then.delta[2] - before))
 
 
-def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
-    """Pose reset: return the motion from a keyframe's pose to the relocalised one, in one map.
+def pose_reset(last: np.ndarray, found: Motion) -> Motion:
+    """Pose reset: return the motion from a keyframe's pose to the one `found`; see `at_pose`.
 
     The latter contains the errors of landmarks that will be used again, so its covariance is
     doubled.
     """
-    nothing = np.zeros((3, NC))
-    back = Motion(last, np.zeros((3, 3)), nothing).inverse()
-    return back.compose(Motion(pose, 2.0 * covariance, nothing))
+    pose = at_pose(found.delta, 2.0 * found.covariance)
+    return at_pose(last, np.zeros((3, 3))).inverse().compose(pose)
+
+
+def at_pose(pose: np.ndarray, covariance: np.ndarray) -> Motion:
+    """Return a pose (3,) in the map, and its covariance (3, 3), as a motion from the origin."""
+    return Motion(pose, covariance, np.zeros((3, NC)))
 
 
 def by_odometry(
     state: Marginal, then: Reckoned, now: Reckoned, rates: np.ndarray, seconds: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose (3,) by dead reckoning for some `seconds` since a state, and its covariance.
+) -> Motion:
+    """Return the pose by dead reckoning for some `seconds` since a state; see `at_pose`.
 
     `rates` (3, 3) are those of the process noise. Errors of the calibration are as large as what
     it corrects at most.
     """
     moved = between(np.array(then.pose), np.array(now.pose))
-    pose, covariance = _after(state.mean[:3], state.covariance[:3, :3], moved)
     _, path, turned = now.driven.since(then.driven)
     square = (state.calibration**2 + state.calibration_variances)[
         [SPEED_SCALE, SPEED_SCALE, TURN_SCALE]
     ]
-    covariance += np.diag(
-        rates @ [seconds, path, turned] + square * np.array([path, path, turned]) ** 2
-    )
-    return pose, covariance
-
-
-def _after(
-    pose: np.ndarray, covariance: np.ndarray, motion: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return a pose (3,) and its covariance (3, 3) after an exact motion (3,)."""
-    after = compose(pose, motion)
-    arm = lever(after - pose)
-    return after, arm @ covariance @ arm.T
+    noise = rates @ [seconds, path, turned] + square * np.array([path, path, turned]) ** 2
+    last = at_pose(state.mean[:3], state.covariance[:3, :3])
+    return last.compose(at_pose(moved, np.diag(noise)))
 
 
 class Displacement:
     """Test of a robot that was displaced against landmarks that moved together.
 
-    It was `found` a motion before, and would be elsewhere by `odometry`: poses (3,) in the map and
-    their covariances (3, 3). `scale` is the distance of landmarks [m].
+    It was `found` at a pose, and would be elsewhere by `odometry`; see `at_pose`. `scale` is the
+    distance of landmarks [m].
     """
 
-    def __init__(
-        self,
-        found: tuple[np.ndarray, np.ndarray],
-        since: Motion,
-        odometry: tuple[np.ndarray, np.ndarray],
-        scale: float,
-    ) -> None:
-        self._found, self._covariance_found = _after(*found, since.delta)
-        self._odometry, self._covariance = odometry
+    def __init__(self, found: Motion, odometry: Motion, scale: float) -> None:
+        self._found, self._covariance_found = found.delta, found.covariance
+        self._odometry, self._covariance = odometry.delta, odometry.covariance
         self.keyframe = 0
         """The keyframe at which the robot was found."""
         self._ratios: dict[str, float] = {}
@@ -331,15 +318,13 @@ class Displacement:
         """The motion (3,) in the map that leads from poses found to those by odometry."""
         return compose(self._odometry, between(self._found, np.zeros(3)))
 
-    def without(self, pose: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose (3,) of a robot that was not displaced, and its covariance (3, 3).
+    def without(self, displaced: Motion) -> Motion:
+        """Return the pose of a robot that was not displaced, given that of the displaced one.
 
-        Given those of the displaced one, by odometry since it was found.
+        The latter is by odometry since the robot was found; see `at_pose`.
         """
-        by = self._by
-        before, turn = compose(by, pose), rotation(float(by[2]))
-        arm = lever(before - self._odometry)
-        return before, arm @ self._covariance @ arm.T + turn @ covariance @ turn.T
+        since = at_pose(between(self._found, np.zeros(3)), np.zeros((3, 3))).compose(displaced)
+        return at_pose(self._odometry, self._covariance).compose(since)
 
     def add(self, gated: Gated, known: Map) -> float:
         """Add a frame in a map; return the log Bayes factor of a displaced robot."""
