@@ -12,7 +12,7 @@ from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import NC, TURN_SLIP, Motion, camera_after
 from homeward.localizer.smoothing import bridged
-from homeward.localizer.tunables import MAX_HOME_LANDMARKS
+from homeward.localizer.tunables import MAX_TESTED
 
 SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.05, 0.001, 0.001])
 MOUNT_SIGMAS = np.array([0.01, 0.02, 0.02])
@@ -109,8 +109,8 @@ def test_of_very_many_landmarks_those_beyond_the_first_are_judged_too():
     rig = Rig(ring(60, near=1.5, far=5.0), seed=2, faults={"L7": 0.4, "L33": -0.3, "L58": 0.5})
     rig.drive(40)
     known = rig.localizer.chart.map.landmarks
-    assert len(known.shared_with_home(known.mapped)) == MAX_HOME_LANDMARKS
+    assert len(known.shared_with_home(known.mapped)) == MAX_TESTED
     evaluate = {m.landmark for m in rig.localizer.landmarks() if m.moved is not None}
-    assert len(evaluate) > MAX_HOME_LANDMARKS
+    assert len(evaluate) > MAX_TESTED
     assert rig.moved() == {"L7", "L33", "L58"}
     assert rig.error() < 0.1

@@ -28,13 +28,13 @@ from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.reference.labels import moved_share
 from homeward.localizer.tunables import (
     CLOSE,
+    CLOSE_STEPS,
     INLIER,
     LINEAR,
     MAX_CANDIDATES,
     MAX_RANGE,
     MAX_TRIPLES,
     MINIMAL,
-    OFFSET_STEPS,
     RESECTION_STEPS,
     UPHEAVAL,
 )
@@ -252,7 +252,7 @@ def poses_from_triples(
             places, of = points[triples], offsets[triples]
             own = between(of[:, :1], of)
             eyes = from_triples(points, *triples.T, *(bearings[triples] + own[..., 2]).T)
-            for _ in range(OFFSET_STEPS if own.any() else 0):
+            for _ in range(CLOSE_STEPS if own.any() else 0):
                 first, each = eyes[:, None], compose(eyes[:, None], own)
                 change = sight(first, places).bearing - sight(each, places).bearing
                 eyes = from_triples(points, *triples.T, *(bearings[triples] + change).T)

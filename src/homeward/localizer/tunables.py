@@ -39,7 +39,8 @@ MIN_SIGHTINGS = 6
 """Sightings before anything is decided about a landmark: if half of them are wrong, three right
 ones remain, and one of these checks the other two."""
 ESTABLISHED = 2 * MIN_SIGHTINGS
-"""Sightings at the old place, and again at the new one, before a landmark is declared moved."""
+"""Sightings at the old place, and again at the new one, before a landmark is declared moved; frames
+of a window in which the bearings of a slow camera are compared."""
 MAX_NOISE_RATIO = 1.5
 """Given standard deviations are overruled if residuals are larger by more than this factor [1]."""
 
@@ -93,8 +94,9 @@ UPHEAVAL = 0.1
 EXCHANGED = 0.02
 """Prior probability that a survey, or the bearings of a home, has two landmarks exchanged: two of
 some ten public data sets that were examined have it, but most users check more carefully [1]."""
-NUM_EXCHANGES = 3
-"""Exchanges tried from one set: those that leave the smallest errors."""
+NUM_NEIGHBOURS = 3
+"""Sets tried next to the best one: by the least decided flips, and by the exchanges that leave the
+smallest errors."""
 OUTLIER_SIGMA = 0.5
 """Standard deviation of an outlier home bearing, for the half of moved landmarks that were pushed;
 the others may be anywhere on the circle [rad]."""
@@ -165,7 +167,8 @@ CUT_SHORT = 0.999
 MAX_LAST_STEP = 0.5
 """Longest last step of a converged fit [standard deviations]."""
 MAX_FIT_STEPS = 6
-"""Most fits converge in three or four steps; one that has not by then does not."""
+"""Gauss-Newton steps of a fit of home, and of a triangulation from lines that agree: most converge
+in three or four; one that has not by then does not."""
 FIT_CONVERGED = 1e-4
 """Smallest step that continues the iteration [of the longest step]."""
 MAX_SEEDS = 8
@@ -175,22 +178,21 @@ MAX_FLIPS = 12
 UNDECIDED = -math.log(IMPROBABLE)
 """Hypotheses whose log evidence falls short of the best by more are dropped, and flips that cost
 more are not tried."""
-NUM_NEIGHBOURS = 3
-"""Sets that differ from the best one by the least decided flips, and are kept as well."""
 PROBABLE = 0.05
 """Only sets more probable than this are flipped further when the map changes."""
-ORIGIN_SIGMA = 1e-4
-"""Standard deviation of home where it is the origin of a survey, and floor of that of a start prior
-[m, rad]."""
+FIXED_SIGMA = 1e-4
+"""Standard deviation of home where it is the origin of a survey, floor of that of a start prior [m,
+rad], and that of the position of fixed extrinsics [m]."""
 MAX_HOME_STEP = 0.2
 """Longest step of home in a fit [range] ..."""
 MAX_HOME_TURN = 1.0
 """... and largest turn [rad]."""
 MAX_TRIPLES = 600
 """Largest number of triples; if there are more, they are drawn with a fixed seed."""
-OFFSET_STEPS = 3
-"""Steps in which several cameras are reduced to one; each divides the error by the distance of the
-landmarks over that of the cameras."""
+CLOSE_STEPS = 3
+"""Steps that several cameras are reduced to one in, each of which divides the error by the distance
+of the landmarks over that of the cameras, and of an alignment that begins at the solution for
+uncorrelated coordinates."""
 SEARCH_EVERY = 40
 """Keyframes between two searches from scratch ..."""
 SEARCH_PATIENCE = 10
@@ -230,9 +232,7 @@ NOTABLE_GAP_S = 0.5
 MIN_GAP_S = 1e-3
 """Shortest time between two sightings of a landmark [s]."""
 DEAD_WINDOW_S = 10.0
-"""Length of a window in which bearings are compared: a slow robot moves notably in it [s] ..."""
-DEAD_WINDOW_FRAMES = 2 * MIN_SIGHTINGS
-"""... and the frames in it, where the camera is slow."""
+"""Length of a window in which bearings are compared: a slow robot moves notably in it [s]."""
 MAX_NEUMANN_RATIO = 0.5
 """Largest ratio of successive squares to the variance of a smooth change [1]: of six independent
 errors, about 1 in 300 gives a smaller one; of white noise the mean is 2."""
@@ -313,8 +313,6 @@ MAX_TRIALS = 6
 """Candidates triangulated per keyframe."""
 RETRY_GROWTH = 1.1
 """A failed candidate is tried again once it has this many times more sightings."""
-MAX_HOME_LANDMARKS = 48
-"""Landmarks used for the resection of home; the oldest are the nearest."""
 LONG_WINDOW = 7500
 """Keyframes times landmarks from which a window that waits for parallax is too long: the longest
 one with the landmarks of a room, fewer keyframes in a hall."""
@@ -325,9 +323,9 @@ COMMON_DIRECTIONS = 96
 that, and the rest is smaller than the noise of a bearing."""
 COMMON_SPARE = 32
 """How many more may come before they are reduced to those."""
-CANDIDATE_MEMORY_S = 120.0
-"""A candidate older than this is dropped where ids come without end [s]; the window of keyframes
-is no longer."""
+WINDOW_S = 120.0
+"""Longest window of keyframes [s]. Older candidates are dropped where ids come without end, and
+older motions are not integrated again, which bounds the twists that are kept."""
 ODOMETRY_EVERY = 10
 """Keyframes between two updates of the odometry noise."""
 MIN_GAIN = 1e-6
@@ -385,7 +383,8 @@ of 1 rad/s, its second-order effect on a heading is below the noise of a bearing
 SOLVE_CONVERGED = 2e-2
 """Largest step at convergence [landmark distance, rad]; the rest goes as its square."""
 MAX_TESTED = 48
-"""Most landmarks tested together: the cost goes with the cube of their number."""
+"""Most landmarks of home or of a survey that are tested together, the oldest ones, which are the
+nearest: the cost goes with the cube of their number."""
 MIN_JUMP_EVIDENCE = math.log(1.0 / GIVEN_WRONG - 1.0)
 """Log Bayes factor from which a knocked camera is more probable than not, if one of a hundred turns
 that odometry denies is the camera's [1]."""
@@ -406,20 +405,14 @@ VAGUE_DATUM = 10.0
 """Prior standard deviation of the datum [size of the survey; rad]."""
 ONE_PLACE = 1e-6
 """Information on the heading of a survey whose landmarks all coincide [1 / rad^2]."""
-ALIGNMENT_STEPS = 3
-"""Gauss-Newton steps of an alignment, from the solution for uncorrelated coordinates."""
 MIN_LINES = 3
 """Smallest number of lines that agree."""
 MAX_LINES = 24
 """Lines, evenly spread, that are intersected in pairs."""
 INFINITY_RATIO = 100.0
 """Distance used as infinity, relative to the distances at hand [1]."""
-TRIANGULATION_STEPS = 6
-"""Gauss-Newton steps of a triangulation: it starts from lines that agree."""
 
 # Motion
-FIXED_EXTRINSICS_M = 1e-4
-"""Prior standard deviation of the position of fixed extrinsics [m]."""
 ADVANCE_S = 0.5
 """TwistHistory are integrated at least this often [s]."""
 STRAIGHTEST_SHARE = 0.2
@@ -433,8 +426,6 @@ BRIDGED = 0.1
 """Standard deviation of the motion beyond `TWIST_VALIDITY_S` of a slow twist, over that motion:
 robots mostly keep their speed; where this one does not, the residuals of the map raise its noise
 further [1]."""
-INTEGRATED_AGAIN_S = 120.0
-"""Largest age of motions that are integrated again, a bound on the twists that are kept [s]."""
 MEAN_S = 0.07
 """Averaging time of a twist [s]: longer than a sample, so that their noise is averaged, and shorter
 than the robot takes to accelerate."""
@@ -497,8 +488,8 @@ CONTRADICTED = float(chdtri(3, FALSE_ALARM / 5000))
 
 # Home at any pose of a drive
 MAX_PREDICTED_SIGMA = 0.5
-"""Largest standard deviation of a predicted home bearing [rad]; a larger one is not linear, and of
-no use."""
+"""Largest standard deviation of a predicted bearing [rad]; a larger one is not linear, and neither
+of use for home nor to identify a landmark."""
 NUM_NEAREST = 5
 """Sightings before and after a time by which a landmark was in place then: two wrong ones do not
 decide."""
@@ -518,8 +509,6 @@ CLEAR_MARGIN = 10.0
 """Pairs with this margin are accepted together: a conditioning hardly changes it."""
 MIN_HITS = 3
 """Hits of a track before it counts: a false bearing continues another one by chance."""
-CONFIRMED = 7.0
-"""Log likelihood ratio of a track against clutter, of a thousand false bearings in a drive."""
 REFUTED = -3.0
 """Below this, a track ends: two misses of a landmark that is in view."""
 CONFIRMED_AGAIN = 3.5
@@ -541,13 +530,10 @@ LIVE_S = 1.5
 """A landmark that was hit within this time is expected to be seen again [s]."""
 TENTATIVE = 5.0
 """Twice the negative log probability that a tentative track is a landmark: a third is."""
-MAX_TRACKS, MAX_TRACK_SIGMA = 60, 0.5
-"""Tracks of a local map, and the deviation of a predicted bearing [rad] beyond which nothing
-identifies its landmark."""
+MAX_TRACKS = 60
+"""Tracks of a local map."""
 RECENT_S = 5.0
 """Tracks that were hit within this time may be of a landmark that was seen before [s]."""
-JOIN_S = 0.5
-"""Interval of the search for such tracks [s]."""
 DUPLICATE_MARGIN = 6.0
 """As `ASSOCIATION_MARGIN`, for two tracks of one landmark."""
 DUPLICATE_SIGMAS = 0.003, 0.01
@@ -558,10 +544,9 @@ YAW_SCALE_SIGMA, YAW_LAG_S = 0.05, 0.1
 """Error of the scale of yaw rates [1], and their delay, with as large an error [s]."""
 UNKNOWN_RATES = 0.1, 0.1, 0.1
 """Growth of variances while the motion is unknown [m^2/s, m^2/s, rad^2/s]."""
-TURN_LAG_S = 0.05
-"""Error of the delay of the odometry, while the yaw rate changes [s], ..."""
 TURN_JITTER_S = 0.05
-"""... and jitter of the stamps; see `SIGN_LAGS_S` [s]."""
+"""Jitter of the stamps, and error of the delay of the odometry while the yaw rate changes; see
+`SIGN_LAGS_S` [s]."""
 NEAR = 0.25
 """Distance of a near landmark, in median distances [1], ..."""
 NEAR_UNKNOWN_M = 0.7
@@ -570,12 +555,11 @@ MAX_SHARP = 0.1
 """A prediction that is less certain does not keep a new landmark from beginning [rad]."""
 SUSPECTED, LOST = 3.0, 10.0
 """Log likelihood ratio of any other pose from which a pose is not verified, and the robot lost."""
-FIT_AGAIN = 0.6
-"""Share of a frame that fits again: see `MAJORITY`."""
 LOST_S = 4.0
 """Time for which a lost robot searches before it maps new landmarks [s]."""
-SEARCH_LOST_S = 0.5
-"""Interval of searches of a lost robot: each takes 30 frames [s]."""
+SEARCH_S = 0.5
+"""Interval of the searches for a lost robot, of which each takes 30 frames, and for tracks of one
+landmark [s]."""
 REPAIR_S = 2.0
 """Interval of the search for landmarks that were mapped twice [s]."""
 TOGETHER = 2
@@ -583,7 +567,8 @@ TOGETHER = 2
 UNMATCHED = 0.2
 """Probability that a home bearing belongs to no landmark of the map: moved, or not mapped yet."""
 NATS_APART = 7.0
-"""Log evidence of home over other places: one in a thousand is wrong [nats]."""
+"""Log evidence of home over other places, and of a track against clutter: one in a thousand is
+wrong [nats]."""
 NATS_KEPT = 2.0
 """Below this, an assignment of home bearings is withdrawn [nats]."""
 COPIED = 0.75

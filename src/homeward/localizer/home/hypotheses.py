@@ -26,7 +26,6 @@ from homeward.localizer.tunables import (
     MAX_FLIPS,
     MAX_SEEDS,
     MINIMAL,
-    NUM_EXCHANGES,
     NUM_NEIGHBOURS,
     PROBABLE,
     SAME_BEARINGS,
@@ -131,7 +130,7 @@ def _exchange(found: dict[Key, HomeFit]) -> None:
     square = off**2 / variance[:, None]
     fits = np.triu((square < INLIER**2) & ~(inliers & inliers[:, None]), 1) & (square.T < INLIER**2)
     pairs = np.argwhere(fits)
-    order = np.argsort((square + square.T)[fits])[:NUM_EXCHANGES]
+    order = np.argsort((square + square.T)[fits])[:NUM_NEIGHBOURS]
     for i, j in pairs[order].tolist():
         assumed = problem.assumed._replace(exchanged=(problem.names[i], problem.names[j]))
         chosen = inliers.copy()

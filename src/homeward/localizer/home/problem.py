@@ -17,6 +17,7 @@ from homeward.localizer.map.bodies import Bodies
 from homeward.localizer.reference.sets import POSE_AND_YAW, HomeArrays
 from homeward.localizer.tunables import (
     EXCHANGED,
+    FIXED_SIGMA,
     GIVEN_WRONG,
     HOME_DISTANCE,
     MAX_HOME_STEP,
@@ -24,7 +25,6 @@ from homeward.localizer.tunables import (
     MAX_RANGE,
     MINIMAL,
     NOISE_SCALES,
-    ORIGIN_SIGMA,
 )
 
 
@@ -90,7 +90,7 @@ class HomeProblem:
 
     def at_origin(self, surveyed: np.ndarray) -> HomeProblem:
         """Return it with home at the origin, from which `surveyed` (k, 2) were surveyed."""
-        exactly = np.eye(3) * ORIGIN_SIGMA**-2
+        exactly = np.eye(3) * FIXED_SIGMA**-2
         return replace(self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed)
 
     def under(self, assumed: Assumption) -> HomeProblem:
@@ -240,7 +240,7 @@ def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | Non
     pose, polar = np.array(from_polar(start.polar), float), start.polar
     sigmas = np.array([start.sigma_R, polar.R * start.sigma_theta, start.sigma_alpha])
     # At home itself the direction from home is undefined.
-    root = rotation(float(polar.theta)) / np.sqrt(sigmas**2 + ORIGIN_SIGMA**2)
+    root = rotation(float(polar.theta)) / np.sqrt(sigmas**2 + FIXED_SIGMA**2)
     home = between(pose, np.zeros(3))
     home[2] = wrap(home[2])
     # A product, since a covariance of such different numbers may be singular by rounding.

@@ -20,8 +20,8 @@ from homeward.geometry.statistics import MAD_TO_SIGMA
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.tunables import (
     BEARING_ROUNDING,
-    DEAD_WINDOW_FRAMES,
     DEAD_WINDOW_S,
+    ESTABLISHED,
     FROZEN_S,
     GATE,
     HEADING_RATE,
@@ -161,7 +161,7 @@ class DeadOdometry:
         self, t: float, bearings: Mapping[str, float], sigmas: Mapping[str, float], default: float
     ) -> None:
         """Test the landmarks of a frame, and decide by all of the window."""
-        if not t - self._begun <= DEAD_WINDOW_S and self._frames >= DEAD_WINDOW_FRAMES * bool(
+        if not t - self._begun <= DEAD_WINDOW_S and self._frames >= ESTABLISHED * bool(
             self._tracks
         ):
             if self._has_moved:  # odometry that never reported a motion stays dead

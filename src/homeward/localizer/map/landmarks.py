@@ -35,7 +35,6 @@ from homeward.localizer.map.triangulation import (
 )
 from homeward.localizer.tunables import (
     BASELINE,
-    CANDIDATE_MEMORY_S,
     ESTABLISHED,
     FALSE_ALARM,
     GATE,
@@ -43,14 +42,15 @@ from homeward.localizer.tunables import (
     LINEAR,
     MAJORITY,
     MARGIN,
-    MAX_HOME_LANDMARKS,
     MAX_IDS,
+    MAX_TESTED,
     MAX_TRIALS,
     MIN_LINES,
     MIN_SIGHTINGS,
     NEGLIGIBLE,
     RETRY_GROWTH,
     SWAP_RATIO,
+    WINDOW_S,
 )
 
 
@@ -129,7 +129,7 @@ class Landmarks:
     def shared_with_home(self, home: Collection[str]) -> list[str]:
         """Return landmarks that home saw and that are or were mapped, oldest first."""
         known = {**self.former, **self.mapped}
-        return [name for name in known if name in home][:MAX_HOME_LANDMARKS]
+        return [name for name in known if name in home][:MAX_TESTED]
 
     def ids(self, names: Iterable[str]) -> np.ndarray:
         """Return the smoother's ids of landmarks, shape (m,); -1 of those not mapped."""
@@ -202,9 +202,7 @@ class Landmarks:
                     self._candidates.pop(name, None)
         self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])
         known = self._candidates
-        if len(known) > MAX_IDS and known.prune(
-            lambda waiting: waiting.since < t - CANDIDATE_MEMORY_S
-        ):
+        if len(known) > MAX_IDS and known.prune(lambda waiting: waiting.since < t - WINDOW_S):
             for name in self.range_mixtures.keys() - self._candidates.keys():
                 del self.range_mixtures[name]
 

@@ -38,7 +38,6 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     BASELINE,
     CALIBRATION_DRIFT,
-    CANDIDATE_MEMORY_S,
     EVALUATED_AFTER_DENIAL,
     EVALUATIONS_PER_WINDOW,
     INLIER,
@@ -48,6 +47,7 @@ from homeward.localizer.tunables import (
     MAX_PER_KEYFRAME,
     NEGLIGIBLE,
     STANDSTILL,
+    WINDOW_S,
 )
 from homeward.reasons import Rejection
 
@@ -398,7 +398,7 @@ class Map:
             else:
                 kept[i] = True
         if len(self._seen) > MAX_IDS:
-            self._seen.prune(lambda seen: seen[1] < t - CANDIDATE_MEMORY_S)
+            self._seen.prune(lambda seen: seen[1] < t - WINDOW_S)
         if skipped:
             self._counts.reject(Rejection.STANDING, skipped)
         self._counts.used += int(np.count_nonzero(kept))

@@ -19,6 +19,7 @@ from homeward.localizer.tunables import (
     LINEAR,
     MAJORITY,
     MARGIN,
+    MAX_FIT_STEPS,
     MAX_LINES,
     MAX_RANGE_RATIO,
     MIN_LINES,
@@ -27,7 +28,6 @@ from homeward.localizer.tunables import (
     NUM_RANGES,
     RANGE_STEPS,
     RIVAL_SHARE,
-    TRIANGULATION_STEPS,
 )
 
 
@@ -57,7 +57,7 @@ def triangulate(
     position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
     agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
     try:
-        for _ in range(TRIANGULATION_STEPS):
+        for _ in range(MAX_FIT_STEPS):
             if agree.sum() < MIN_LINES:
                 return None
             position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])

@@ -20,7 +20,7 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     CLOSE,
     FINAL_GATE,
-    FIXED_EXTRINSICS_M,
+    FIXED_SIGMA,
     GIVEN_WRONG,
     LINEAR,
     MIN_CALIBRATION_SIGMA,
@@ -50,8 +50,8 @@ class Extrinsics:
         self.sigmas = np.array(
             [
                 max(usual if camera.yaw_sigma is None else camera.yaw_sigma, MIN_CALIBRATION_SIGMA),
-                max(camera.x_sigma or 0.0, FIXED_EXTRINSICS_M),
-                max(camera.y_sigma or 0.0, FIXED_EXTRINSICS_M),
+                max(camera.x_sigma or 0.0, FIXED_SIGMA),
+                max(camera.y_sigma or 0.0, FIXED_SIGMA),
             ]
         )
         """(3,): prior standard deviations around the given values or zero [rad, m, m]."""

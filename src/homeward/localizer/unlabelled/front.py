@@ -25,7 +25,6 @@ from homeward.localizer.tunables import (
     REPAIR_S,
     TENTATIVE,
     TURN_JITTER_S,
-    TURN_LAG_S,
 )
 from homeward.localizer.unlabelled.association import PossiblePairs, associate, chosen
 from homeward.localizer.unlabelled.home import HomeFinder, may_be
@@ -88,7 +87,7 @@ class UnlabelledLandmarks:
         tracks.move(now, chart.process_noise.rates, chart.map.camera_pose(frame.offset))
         for new, old in tracks.join_duplicates(frame.t, self.known.together):
             self._is_home_renamed |= self._rename(new, old, chart)
-        late = TURN_LAG_S * change + TURN_JITTER_S * abs(now.turn_rate)
+        late = TURN_JITTER_S * (change + abs(now.turn_rate))
         sigma = chart.noise.to_distinguish
         with_id = _seen(frame, [k for k in frame.sightings if k not in keys], sigma, late)
         self._add_with_ids(with_id, tracks, chart)

@@ -11,12 +11,12 @@ from homeward.localizer.chart import Chart
 from homeward.localizer.tunables import (
     CLOSE,
     DETECTED,
-    FIT_AGAIN,
     INLIER,
     LOST,
+    MAJORITY,
     MINIMAL,
     NATS_APART,
-    SEARCH_LOST_S,
+    SEARCH_S,
     SUSPECTED,
 )
 from homeward.localizer.unlabelled.constellation import Sky, search
@@ -68,7 +68,7 @@ class Loss:
     def ends(self, names: Collection[str]) -> bool:
         """Return whether most landmarks in view are of the former map again."""
         old = sum(n in self._mapped for n in names)
-        return old >= MINIMAL and old > FIT_AGAIN * len(names)
+        return old >= MINIMAL and old > MAJORITY * len(names)
 
     def end(self, chart: Chart, known: Registry) -> None:
         """End the search: landmarks that began during it are mapped elsewhere than they are."""
@@ -89,7 +89,7 @@ class Loss:
 
         Without a unique one, the result is empty.
         """
-        if t - self._searched_at < SEARCH_LOST_S:
+        if t - self._searched_at < SEARCH_S:
             return {}
         self._searched_at = t
         mapped = chart.map.landmarks.mapped

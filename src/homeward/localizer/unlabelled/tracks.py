@@ -18,26 +18,26 @@ from homeward.geometry.se2 import between, compose
 from homeward.localizer.tunables import (
     ASSOCIATION_GATE,
     CLUTTER_KEPT,
-    CONFIRMED,
     CONFIRMED_AGAIN,
     DETECTED,
     DUPLICATE_MARGIN,
     DUPLICATE_SIGMAS,
     FALSE_AT_FIRST,
-    JOIN_S,
     LIVE_S,
     MAX_FALSE,
     MAX_MISSES,
-    MAX_TRACK_SIGMA,
+    MAX_PREDICTED_SIGMA,
     MAX_TRACKS,
     MIN_CLUTTER,
     MIN_HITS,
     MIN_SEEN,
+    NATS_APART,
     NEAR,
     NEAR_UNKNOWN_M,
     NOT_LIVE,
     RECENT_S,
     REFUTED,
+    SEARCH_S,
     TOGETHER,
     TRACK_MEMORY_S,
     UNKNOWN_RATES,
@@ -192,7 +192,7 @@ class Tracks:
     ) -> None:
         """Test a tentative track against clutter after a hit or a miss."""
         track.score += self.clutter.hit(sigma) if is_hit else self.clutter.miss(sigma)
-        enough = track.hits >= MIN_HITS and track.score > CONFIRMED
+        enough = track.hits >= MIN_HITS and track.score > NATS_APART
         track.is_confirmed = enough or (is_mapped and track.score > CONFIRMED_AGAIN)
 
     def forget(self, t: float, aliases: Container[str]) -> int:
@@ -202,7 +202,7 @@ class Tracks:
         used instead.
         If there are too many, those are dropped that were not hit for longest.
         """
-        vague = self.map.bearing_covariance.diagonal() > MAX_TRACK_SIGMA**2
+        vague = self.map.bearing_covariance.diagonal() > MAX_PREDICTED_SIGMA**2
         kept, false = [], 0
         for i, track in enumerate(self.tracks):
             weak = not track.is_confirmed
@@ -229,7 +229,7 @@ class Tracks:
         those of others that were found again with it, show which old one it is. `together` counts
         the frames in which two were seen.
         """
-        if t - self._joined_at < JOIN_S:
+        if t - self._joined_at < SEARCH_S:
             return []
         self._joined_at = t
         known = [i for i, x in enumerate(self.tracks) if x.is_confirmed and x.hits > MIN_HITS]

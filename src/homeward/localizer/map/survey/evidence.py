@@ -29,7 +29,7 @@ from homeward.localizer.tunables import (
     EXCHANGED,
     IMPROBABLE,
     MAX_TESTED,
-    NUM_EXCHANGES,
+    NUM_NEIGHBOURS,
     UNDECIDED,
     VAGUE_DATUM,
 )
@@ -308,7 +308,7 @@ def _exchangeable(
     then = abs(now - (p[i] - p[j]) * (q[i] - q[j]).conj())
     off = (abs(a) ** 2 + abs(b) ** 2).sum(axis=1) - 2.0 * then
     (better,) = (then > abs(now)).nonzero()
-    first = better[np.argsort((off / count[:, 0])[better])[:NUM_EXCHANGES]]
+    first = better[np.argsort((off / count[:, 0])[better])[:NUM_NEIGHBOURS]]
     return list(zip(i[first].tolist(), j[first].tolist(), strict=True))
 
 

@@ -18,7 +18,7 @@ from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC
 from homeward.localizer.reference.factors import NormalEquations
-from homeward.localizer.tunables import ALIGNMENT_STEPS, ONE_PLACE
+from homeward.localizer.tunables import CLOSE_STEPS, ONE_PLACE
 
 
 class Datum(NamedTuple):
@@ -66,7 +66,7 @@ def align(
     turn = np.exp(1j * np.angle((independent * (p - p0) * (q - q0).conj()).sum()))
     origin = p0 - turn * q0
     pose, step = np.array([origin.real, origin.imag, np.angle(turn)]), np.zeros(3)
-    for _ in range(ALIGNMENT_STEPS):
+    for _ in range(CLOSE_STEPS):
         pose = pose + step
         rotate = rotation(pose[2])[:2, :2]
         out = surveyed @ rotate.T
