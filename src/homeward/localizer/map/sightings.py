@@ -35,42 +35,37 @@ stamp [s], and the logarithm of the range [m] and its standard deviation (NaN wh
 class Frames:
     """Table of frames: the camera relative to its keyframe at f stamps, numbered consecutively."""
 
-    def __init__(self, first: int = 0, columns: tuple[GrowingTable, ...] = ()) -> None:
+    def __init__(self, first: int = 0, table: GrowingTable | None = None) -> None:
         self.first = first
         """Number of the oldest frame."""
-        self._columns = columns or (
-            GrowingTable(dtype=int),
-            GrowingTable(),
-            GrowingTable((3,)),
-            GrowingTable((3, NC)),
-        )
+        self._table = table or GrowingTable((5 + 3 * NC,))
         self.offsets: dict[int, np.ndarray] = {}
         """Pose (3,) of the camera in the frame of the first one, by number, if it is another."""
 
     @property
     def keyframes(self) -> np.ndarray:
         """(f,): numbers of the keyframes."""
-        return self._columns[0].rows
+        return self._table.rows[:, 0].astype(int)
 
     @property
     def stamps(self) -> np.ndarray:
         """(f,): their times [s]."""
-        return self._columns[1].rows
+        return self._table.rows[:, 1]
 
     @property
     def free(self) -> np.ndarray:
         """(f, 3): camera's pose in its keyframe's frame for a calibration of zero ..."""
-        return self._columns[2].rows
+        return self._table.rows[:, 2:5]
 
     @property
     def jacobians(self) -> np.ndarray:
         """(f, 3, 10): ... and its Jacobian by the calibration."""
-        return self._columns[3].rows
+        return self._table.rows[:, 5:].reshape(-1, 3, NC)
 
     @property
     def next(self) -> int:
         """Number of the next frame."""
-        return self.first + len(self._columns[0])
+        return self.first + len(self._table)
 
     def add(
         self, keyframe: int, free: np.ndarray, jacobian: np.ndarray, frame: WeighedFrame
@@ -86,30 +81,24 @@ class Frames:
         rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
         if frame.offset is not None:
             self.offsets[self.next] = frame.offset
-        row: tuple[float | np.ndarray, ...] = keyframe, frame.t, free, jacobian
-        for column, value in zip(self._columns, row, strict=True):
-            column.add(value)
+        self._table.add(np.concatenate([(keyframe, frame.t), free, jacobian.ravel()]))
         return rows
 
     def drop_newest(self) -> None:
         """Drop the newest frame."""
-        for column in self._columns:
-            column.drop_last(1)
+        self._table.drop_last(1)
         self.offsets.pop(self.next, None)
 
     def between(self, number: int, end: int) -> Frames:
         """Return the frames from a number to another, without that."""
         some = slice(number - self.first, end - self.first)
-        return Frames(number, tuple(GrowingTable.of(column.rows[some]) for column in self._columns))
+        return Frames(number, GrowingTable.of(self._table.rows[some]))
 
     def take_before(self, keyframe: int) -> Frames:
         """Remove and return the frames of keyframes before a number."""
         count = int((self.keyframes < keyframe).sum())
-        old = Frames(
-            self.first, tuple(GrowingTable.of(c.rows[:count].copy()) for c in self._columns)
-        )
-        for column in self._columns:
-            column.drop_first(count)
+        old = Frames(self.first, GrowingTable.of(self._table.rows[:count].copy()))
+        self._table.drop_first(count)
         self.first += count
         for number in [n for n in self.offsets if n < self.first]:
             del self.offsets[number]
@@ -122,9 +111,8 @@ class Frames:
     @staticmethod
     def joined(parts: list[Frames]) -> Frames:
         """Return consecutive tables as one."""
-        columns = zip(*(p._columns for p in parts), strict=True)
-        joined = (GrowingTable.of(np.concatenate([c.rows for c in same])) for same in columns)
-        return Frames(parts[0].first, tuple(joined))
+        rows = np.concatenate([part._table.rows for part in parts])
+        return Frames(parts[0].first, GrowingTable.of(rows))
 
     def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 13).
