@@ -73,8 +73,11 @@ def measured(run: Run) -> Figures:
     estimator = make_estimator(name, made.drive)
     error, covariance = final_error(made.drive, estimator)
     named, moved = {m.landmark for m in estimator.landmarks() if m.moved}, made.world.moved
-    robust = isinstance(estimator, Localizer)
-    sigmas = estimator.chart.home.bearing_sigmas() if robust else {}
+    home = estimator.chart.home if isinstance(estimator, Localizer) else None
+    sigmas = {}
+    if home is not None and home.hypotheses is not None:
+        variances = home.hypotheses.best.innovations[1]
+        sigmas = dict(zip(home.names, np.sqrt(variances).tolist(), strict=True))
     faults = [(abs(fault) / sigmas[i], i in named) for i, fault in moved.items() if i in sigmas]
     return {
         "right": named == set(moved),

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.geometry.angles import wrap
+
 MIN_DISTANCE = 1e-3
 """Minimum distance of a camera from a landmark, where they coincide [m]."""
 MIN_SQUARED_DISTANCE = MIN_DISTANCE**2
@@ -88,6 +90,13 @@ def composition(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     by_a = np.array([[1.0, 0.0, y - to_y], [0.0, 1.0, to_x - x], [0.0, 0.0, 1.0]])
     by_b = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.array([to_x, to_y, heading + turn]), by_a, by_b
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return poses a (..., 3) minus poses b, component by component; the heading is wrapped."""
+    off = np.asarray(a - b)
+    off[..., 2] = wrap(off[..., 2])
+    return off
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -18,8 +18,9 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
 from homeward.localizer.reference.frame import predict_bearings
-from homeward.localizer.smoothing import SolvedDrive, seen_from_keyframes, solve_whole, within
+from homeward.localizer.smoothing import SolvedDrive, seen_from_keyframes, solved_after, within
 from homeward.localizer.tunables import MAX_PREDICTED_SIGMA, NUM_NEAREST
+from homeward.track import run
 
 
 @single_threaded_blas()
@@ -35,7 +36,9 @@ def predicted_home(
     """
     robot: Robot = {**drive.settings.robot, "start": None}
     localizer = Localizer({}, known=drive.known, **robot)
-    solved = solve_whole(dataclasses.replace(drive, home={}), localizer, on_progress)[1]
+    localizer.retain_marginalised()
+    alone = dataclasses.replace(drive, home={})
+    solved = solved_after(alone, localizer, run(alone, localizer, on_progress))
     nothing = JointHome((), np.zeros(0), np.zeros((0, 0)))
     if solved is None:
         return nothing

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.se2 import MIN_DISTANCE, between, compose, sight
+from homeward.geometry.se2 import MIN_DISTANCE, between, compose, difference, sight
 from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.reference.labels import moved_share
 from homeward.localizer.tunables import (
@@ -116,8 +116,7 @@ class Located:
 
     def log_density(self, mean: np.ndarray, covariance: np.ndarray) -> float:
         """Return the log density of the pose in a Gaussian, shapes (3,) and (3, 3)."""
-        off = self.pose - mean
-        off[2] = wrap(off[2])
+        off = difference(self.pose, mean)
         square = float(off @ np.linalg.solve(covariance, off))
         return -0.5 * (square + float(np.linalg.slogdet(TWO_PI * covariance)[1]))
 

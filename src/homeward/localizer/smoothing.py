@@ -15,8 +15,8 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.errors import REQUEST, Attempts, InternalFailure, failure_notes, require_kind
 from homeward.estimator import Estimate, Status
-from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
+from homeward.geometry.se2 import difference
 from homeward.geometry.statistics import positive
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
@@ -175,7 +175,7 @@ class SolvedDrive:
             found, drift = self._motions(k, times), self.localizer.chart.drift
             return [(m.delta, drift(t, m)) for t, m in zip(times, found, strict=True)]
         *found, last = self._motions(k, [*times, self.whole.stamps[k + 1]])
-        off = _off(last, end)
+        off = difference(np.array(end), last.delta)
         return [bridged(m, last, off) for m in found]
 
     def gaps(self) -> list[tuple[float, float]]:
@@ -215,7 +215,7 @@ class SolvedDrive:
         poses, off = [Pose(*pose) for pose in whole.poses.tolist()], np.zeros((count, 3))
         for k in range(bisect_left(whole.stamps, self.since), count - 1):
             motion = self._motions(k, [whole.stamps[k + 1]])[0]
-            this = _off(motion, between(*poses[k : k + 2]))
+            this = difference(np.array(between(*poses[k : k + 2])), motion.delta)
             if this @ np.linalg.solve(motion.covariance, this) > CONTRADICTED:
                 off[k] = this
         denied = []
@@ -251,21 +251,11 @@ def _slip(odometry: OdometryIntegrator, t: float) -> np.ndarray:
     return odometry.dropout_motion(t + 1e-3).covariance
 
 
-def solve_whole(
-    drive: Drive, localizer: Localizer, on_progress: Callable[[float], None] | None = None
-) -> tuple[Track, SolvedDrive | None]:
-    """Run a new localiser on a drive, and solve all keyframes of its last map at once.
-
-    Return the causal track, and the solution; None if bearings and turns have opposite senses, or
-    if they do not determine all keyframes.
-    """
-    localizer.retain_marginalised()
-    track = run(drive, localizer, on_progress)
-    return track, solved_after(drive, localizer, track)
-
-
 def solved_after(drive: Drive, localizer: Localizer, track: Track) -> SolvedDrive | None:
-    """Return the solution of a whole drive after a run, as `solve_whole`."""
+    """Return the solution of all keyframes of the last map after a run that retained them.
+
+    None if bearings and turns have opposite senses, or do not determine all keyframes.
+    """
     if localizer.is_convention_wrong:
         return None
     try:
@@ -355,13 +345,6 @@ def _at_pose(chart: Chart, state: Marginal) -> Hypotheses | None:
     """Return the hypotheses with the pose of a keyframe; None if they do not determine it."""
     found = chart.home.hypotheses
     return None if found is None else with_pose(chart.home.problem(chart.map, state), found)
-
-
-def _off(motion: Motion, known: Pose) -> np.ndarray:
-    """Return by how much the known pose at the end differs from a motion (3,) [m, m, rad]."""
-    off = np.asarray(np.array(known) - motion.delta)
-    off[2] = wrap(off[2])
-    return off
 
 
 def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import MIN_DISTANCE, lever, rotation
+from homeward.geometry.se2 import MIN_DISTANCE, difference, lever, rotation
 from homeward.geometry.statistics import positive
 from homeward.localizer import kernels
 from homeward.localizer.home.problem import Assumption, HomeProblem
@@ -78,8 +78,7 @@ class HomeFit:
 
     def is_same_home(self, home: np.ndarray) -> bool:
         """Return whether another home (3,) is the same, within its uncertainty."""
-        off = self.home - home
-        off[2] = wrap(off[2])
+        off = difference(self.home, home)
         return bool(off @ self.solution.information @ off < SAME_HOME**2)
 
     def landmark_distance(self, place: np.ndarray) -> float:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import between, compose
+from homeward.geometry.se2 import between, compose, difference
 from homeward.localizer.home.estimate import HomeFit, fit, propagated, solved
 from homeward.localizer.home.problem import USUAL, Assumption, HomeProblem
 from homeward.localizer.reference.sets import POSE_AND_YAW
@@ -90,8 +90,7 @@ class Hypotheses:
         if len(self.fits) == 1:
             return 0.0
         best = self.best
-        off = np.array([f.home for f in self.fits]) - best.home
-        off[:, 2] = wrap(off[:, 2])
+        off = difference(np.array([f.home for f in self.fits]), best.home)
         # By the smaller noise of both: the larger would hide that the other home is more precise.
         scale = best.problem.assumed.noise_scale
         finest = [f if f.problem.assumed.noise_scale < scale else best for f in self.fits]

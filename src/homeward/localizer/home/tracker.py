@@ -146,13 +146,6 @@ class HomeTracker:
         """(q,), bool: which of the landmarks used did not move during the drive."""
         return np.array([name not in known.landmarks.former for name in self.names], bool)
 
-    def bearing_sigmas(self) -> dict[str, float]:
-        """Return the standard deviation of each home bearing predicted by the others [rad]."""
-        if self.hypotheses is None:
-            return {}
-        variances = self.hypotheses.best.innovations[1]
-        return dict(zip(self.names, np.sqrt(variances).tolist(), strict=True))
-
     def _follow(self, problem: HomeProblem, before: Hypotheses, known: Map) -> Hypotheses | None:
         """Return the hypotheses after a small change of the map.
 

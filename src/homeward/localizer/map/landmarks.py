@@ -321,7 +321,7 @@ class Landmarks:
         eyes = self.smoother.cameras(rows)
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
         since = int(rows[0, KEYFRAME]) - self.smoother.first
-        if base < BASELINE * math.sqrt(sum(self.smoother.shift_variances[since:])):
+        if base < BASELINE * math.sqrt(self.smoother.variances.rows[since:, 0].sum()):
             return None
         return triangulate(eyes, rows[:, BEARING], self._line_sigmas(rows), self._parallax)
 
@@ -461,7 +461,7 @@ class Landmarks:
                 continue  # the others are marginalised, when they did determine it
             place = self.smoother.state.positions[self.index([m])][0]
             if not is_determined(place, self.smoother.cameras(own), self._own_sigmas(own)):
-                self.smoother.drop_sightings_of(m.number)
+                self.smoother.drop_sightings(LANDMARK, m.number)
                 self.drop(m.name)
 
     def drop(self, name: str) -> None:
@@ -506,7 +506,7 @@ class Landmarks:
 
     def _turn_variances_since(self, rows: np.ndarray) -> np.ndarray:
         """Return the variances (m,) of the turns since rows of the table [rad^2]."""
-        turned = np.cumsum([0.0, *self.smoother.turn_variances[::-1]])[::-1]
+        turned = np.cumsum(np.append(0.0, self.smoother.variances.rows[::-1, 1]))[::-1]
         return np.asarray(turned[rows[:, KEYFRAME].astype(int) - self.smoother.first])
 
 

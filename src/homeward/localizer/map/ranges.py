@@ -25,6 +25,7 @@ from homeward.drives.settings import DriveSettings
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import MIN_SQUARED_DISTANCE, Sight, sight
 from homeward.localizer.map.sightings import AGE, GAP, LOG_RANGE, OWN, RANGE_SIGMA, SIGMA
+from homeward.localizer.map.triangulation import spaced, unit_vectors
 from homeward.localizer.motions import HEAD, NC, SPEED_SCALE
 from homeward.localizer.reference.factors import WeighedSightings, weigh_sightings
 from homeward.localizer.settings import LocalizerSettings
@@ -33,7 +34,6 @@ from homeward.localizer.tunables import (
     INLIER,
     LINEAR,
     MAJORITY,
-    MAX_LINES,
     MAX_RANGE_SIGMA,
     MIN_GAP_S,
     MIN_LINES,
@@ -145,9 +145,8 @@ def place_by_ranges(
     (known,) = (ranges[:, 1] < LINEAR).nonzero()
     if known.size < MIN_LINES:
         return None
-    chosen = known[np.unique(np.linspace(0, known.size - 1, MAX_LINES).astype(int))]
-    lines = cameras[chosen, 2] + bearings[chosen]
-    along = np.stack([np.cos(lines), np.sin(lines)], axis=1)
+    chosen = known[spaced(known.size)]
+    along = unit_vectors(cameras[chosen, 2] + bearings[chosen])
     places = cameras[chosen, :2] + np.exp(ranges[chosen, :1]) * along
     seen = sight(cameras, places[:, None])
     off = np.abs(wrap(bearings - seen.bearing)) / sigmas

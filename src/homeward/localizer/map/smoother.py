@@ -134,10 +134,8 @@ class Smoother:
         """Keyframe, or the one before the frame, that saw each active landmark last."""
         self._sightings = GrowingTable((COLUMNS,))
         self.frames = Frames()
-        self.turn_variances: list[float] = []
-        """Variance of turn of the motion into each keyframe but the oldest [rad^2]."""
-        self.shift_variances: list[float] = []
-        """The same of shift [m^2]."""
+        self.variances = GrowingTable((2,))
+        """(w - 1, 2): variances of shift [m^2] and turn [rad^2] of the motions between them."""
         self.converged = True
         """Whether the last `solve` converged ..."""
         self._converged_at = 0
@@ -299,8 +297,8 @@ class Smoother:
         turn; its robust weight then decides how far this one is an outlier.
         """
         self.stamps.append(t)
-        self.turn_variances.append(float(motion.covariance[2, 2]))
-        self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))
+        across, along, turn = motion.covariance.diagonal().tolist()
+        self.variances.add((across + along, turn))
         step = step_row(motion, t - self.stamps[-2])
         scale_steps(step, inlier_ratios)
         self._steps.extend(step)
@@ -323,13 +321,9 @@ class Smoother:
         """Add rows of the table of sightings, shape (m, COLUMNS), of keyframes in the window."""
         self._sightings.extend(rows)
 
-    def drop_sightings_from(self, keyframe: int) -> None:
-        """Drop the sightings from a keyframe, by its number."""
-        self.sightings = self.sightings[self.sightings[:, KEYFRAME] != keyframe]
-
-    def drop_sightings_of(self, number: int) -> None:
-        """Drop the sightings of a landmark, by its id."""
-        self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
+    def drop_sightings(self, column: int, number: int) -> None:
+        """Drop the sightings with a number in a column: of a landmark, or from a keyframe."""
+        self.sightings = self.sightings[self.sightings[:, column] != number]
 
     def move_keyframe(self, number: int, pose: np.ndarray) -> None:
         """Set the pose (3,) of a keyframe in the window, where the next `solve` begins."""
@@ -393,8 +387,7 @@ class Smoother:
         """Scale variances of shift and turn by factors (2, 2): of inlier motions, and of all."""
         for steps in (self._steps.rows, *(part.steps for part in self._closed or [])):
             scale_steps(steps, factors[0])
-        self.shift_variances = [float(factors[1, 0] * v) for v in self.shift_variances]
-        self.turn_variances = [float(factors[1, 1] * v) for v in self.turn_variances]
+        self.variances.rows[:] *= factors[1]
 
     def denied_turns(self, motions: OdometryErrors) -> np.ndarray:
         """Return the squares of the normalised residuals of turns between keyframes, (w - 1,) [1].
@@ -414,7 +407,7 @@ class Smoother:
         out, found = self._take_out(gone)
         self.passive.eliminate(out, found)
         self.survey = self.survey.among(self.ids)
-        self.drop_sightings_of(number)
+        self.drop_sightings(LANDMARK, number)
         self._in_view.pop(number, None)
 
     def activate(self, ids: np.ndarray) -> None:
@@ -558,8 +551,7 @@ class Smoother:
         self.stamps = self.stamps[count:]
         self._poses.drop_first(count)
         self._steps.drop_first(count)
-        self.turn_variances = self.turn_variances[count:]
-        self.shift_variances = self.shift_variances[count:]
+        self.variances.drop_first(count)
         self.sightings = self.sightings[~old]
         before = self._prior.replace(eliminated, self._linearisation_point(), drift)
         self.passive.replace(slice(3, HEAD), before)

@@ -50,11 +50,11 @@ def triangulate(
     lines = cameras[:, 2] + bearings
     if not _spread(lines, np.ones(lines.size, bool), parallax):
         return None
-    chosen = _spaced(lines.size)
+    chosen = spaced(lines.size)
     points = _intersections(cameras[chosen, :2], lines[chosen], 0.5 * parallax)
     if not len(points):
         return None
-    position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
+    position = points[int(_truncated(points, cameras, lines, sigmas).sum(axis=1).argmin())]
     agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
     try:
         for _ in range(MAX_FIT_STEPS):
@@ -74,10 +74,11 @@ def triangulate(
     none_wrong = agree.all() and not _is_next_to_camera(position, cameras)
     if not none_wrong:
         far = INFINITY_RATIO * (distance + np.hypot(*np.ptp(cameras[:, :2], axis=0)))
-        ends = cameras[chosen, :2] + far * _along(lines[chosen])
+        ends = cameras[chosen, :2] + far * unit_vectors(lines[chosen])
         middle = cameras[agree, :2].mean(axis=0)
         rivals = _rivals(np.concatenate([points, ends]), position, middle)
-        costs = _costs(np.concatenate([position[None], rivals]), cameras, lines, sigmas)
+        either = np.concatenate([position[None], rivals])
+        costs = _truncated(either, cameras, lines, sigmas).sum(axis=1)
         if (costs[1:] < costs[0] + MARGIN).any():
             return None
     return position, agree
@@ -110,13 +111,13 @@ def unexplained(
     `triangulate`.
     """
     lines = cameras[:, 2] + bearings
-    chosen = _spaced(lines.size)
+    chosen = spaced(lines.size)
     points = _intersections(cameras[chosen, :2], lines[chosen], 0.0)
     return _truncated(np.concatenate([places, points]), cameras, lines, sigmas)
 
 
 @cache
-def _spaced(count: int) -> np.ndarray:
+def spaced(count: int) -> np.ndarray:
     """Return the indices of at most `MAX_LINES` of a number of lines."""
     return np.unique(np.linspace(0, count - 1, MAX_LINES).astype(int))
 
@@ -156,19 +157,12 @@ def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.n
     along_j = (d[:, 0] * np.sin(lines[i]) - d[:, 1] * np.cos(lines[i])) / sine
     front = (along_i > 0) & (along_j > 0)
     i, along = i[front], along_i[front]
-    return np.asarray(centres[i] + along[:, None] * _along(lines[i]))
+    return np.asarray(centres[i] + along[:, None] * unit_vectors(lines[i]))
 
 
-def _along(lines: np.ndarray) -> np.ndarray:
+def unit_vectors(lines: np.ndarray) -> np.ndarray:
     """Return unit vectors along directions, shape (k, 2)."""
     return np.stack([np.cos(lines), np.sin(lines)], axis=1)
-
-
-def _costs(
-    points: np.ndarray, cameras: np.ndarray, lines: np.ndarray, sigmas: np.ndarray
-) -> np.ndarray:
-    """Return the truncated squared residuals of each point, (k,): lines not explained."""
-    return np.asarray(_truncated(points, cameras, lines, sigmas).sum(axis=1))
 
 
 def _truncated(
@@ -253,7 +247,7 @@ def range_mixture(
         return None
     cost = 0.5 * INLIER**2 * MIN_SIGHTINGS * np.minimum(share**2, 1.0).mean(axis=1)
     weights = np.exp(cost.min() - cost)
-    along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
+    along = unit_vectors(directions)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     swing = median(sigmas.tolist()) ** 2 + covariance[2, 2]
     apart = (0.5 * math.log(ratio)) ** 2

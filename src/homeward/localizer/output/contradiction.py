@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import between, compose, composition, rotation, sight
+from homeward.geometry.se2 import between, compose, composition, difference, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
@@ -156,8 +156,7 @@ class Contradiction:
         pose = state.pose_after(motion)[0]
         before = reference.state.pose_after(reference.motion)[0]
         moved = between(reference.odometry, self._here)
-        off = np.stack([before, compose(before, moved)]) - pose
-        off[:, 2] = wrap(off[:, 2])
+        off = difference(np.stack([before, compose(before, moved)]), pose)
         off = off @ rotation(found.pose.heading - float(pose[2])).T
         spread = off.T @ off + _systematic_covariance(moved)
         found = dataclasses.replace(found, covariance=found.covariance + spread)

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.geometry.se2 import composition
+from homeward.geometry.se2 import composition, difference
 from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
@@ -140,8 +140,7 @@ def other_hypotheses(hypotheses: Hypotheses) -> OtherHypotheses:
     poses, covariances = (
         np.array(p) for p in zip(*(f.in_home_frame for f in hypotheses.fits), strict=True)
     )
-    off = poses - poses[0]
-    off[:, 2] = wrap(off[:, 2])
+    off = difference(poses, poses[0])
     each = weights[:, None, None] * covariances
     middle = centre(off, weights, each.sum(axis=0))
     off -= middle

@@ -23,7 +23,7 @@ from typing import TypeAlias
 import numpy as np
 
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.se2 import between, compose, lever, rotation, sight
+from homeward.geometry.se2 import between, compose, difference, lever, rotation, sight
 from homeward.geometry.statistics import positive
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.bodies import find_bodies
@@ -203,8 +203,8 @@ def _displaced(
     than the expected one. The sizes tried are equally probable before the lines; the result has the
     mean and the covariance of their mixture.
     """
-    off, (mean, known) = found[0] - expected[0], expected
-    off[2], distance = wrap(off[2]), float(lines.distances(mean[None])[0])
+    off, (mean, known) = difference(found[0], expected[0]), expected
+    distance = float(lines.distances(mean[None])[0])
     log, steps, spreads = [], [], []
     for shift in distance * np.array([0.0, NEGLIGIBLE, CLOSE, LINEAR]):
         prior = known + np.diag([shift, shift, LINEAR]) ** 2
@@ -308,8 +308,7 @@ class Displacement:
         """
         if self.is_vague:
             return False
-        off = self._odometry - self._found
-        off[2] = wrap(off[2])
+        off = difference(self._odometry, self._found)
         square = float(off @ np.linalg.solve(self._covariance_found + self._covariance, off))
         return bool((np.abs(off) <= NEGLIGIBLE * self._unit).all() or square <= INLIER**2)
 

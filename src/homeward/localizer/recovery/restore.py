@@ -14,7 +14,7 @@ import numpy as np
 
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
-from homeward.localizer.map.sightings import LANDMARK
+from homeward.localizer.map.sightings import KEYFRAME, LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
@@ -84,7 +84,7 @@ def restore(contradicted: Iterable[SeenAt], known: Map, whole: Smoother) -> bool
         if found is None:
             continue
         whole.move_keyframe(seen.keyframe, found[0])
-        whole.drop_sightings_from(seen.keyframe)  # they were accepted where it was not
+        whole.drop_sightings(KEYFRAME, seen.keyframe)  # they were accepted where it was not
         seen.add_to(whole, known)
         restored = True
     return restored

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.se2 import sight
+from homeward.geometry.se2 import difference, sight
 from homeward.localizer.resection import from_triples
 from homeward.localizer.tunables import (
     ANNEALED,
@@ -341,8 +341,7 @@ def _one_to_one(gain: np.ndarray) -> np.ndarray:
 
 def _is_same(one: Match, other: Match, sky: Sky) -> bool:
     """Return whether two poses are the same within their uncertainty, or close together."""
-    off = one.pose - other.pose
-    off[2] = wrap(off[2])
+    off = difference(one.pose, other.pose)
     distance = float(np.median(np.hypot(*(sky.points - other.pose[:2]).T)))
     if math.hypot(off[0], off[1]) < 0.2 * CLOSE * distance and abs(off[2]) < 0.2 * CLOSE:
         return True
