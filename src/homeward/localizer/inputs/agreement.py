@@ -220,8 +220,10 @@ class FrozenCamera:
         self._first: dict[str, _First] = {}
         self._resolution = MAX_RESOLUTION
         """Smallest step between two bearings of a landmark [rad]."""
+        self.newest = -math.inf
+        """Stamp of the newest frame [s], ..."""
         self.is_frozen = False
-        """Whether all bearings of the newest frame have repeated for `FROZEN_S`."""
+        """... and whether all its bearings have repeated for `FROZEN_S`."""
 
     def add_bearings(
         self, t: float, sightings: Mapping[str, float], reckoned: Reckoned
@@ -230,8 +232,7 @@ class FrozenCamera:
 
         `reckoned` is dead reckoning at `t`.
         """
-        here = t, *reckoned.pose
-        repeated = []
+        self.newest, here, repeated = t, (t, *reckoned.pose), []
         for name, bearing in sightings.items():
             first = self._first.get(name)
             if (
@@ -291,15 +292,14 @@ class FrozenCameras:
 
     def __init__(self, robot: DriveSettings) -> None:
         self._robot = robot
-        self._cameras: dict[str, tuple[FrozenCamera, float]] = {}
-        """Detectors, and the newest stamp of each [s]."""
+        self._cameras: dict[str, FrozenCamera] = {}
         self.is_frozen = False
         """Whether all bearings of the last frame that was not late have repeated for `FROZEN_S`."""
 
     @property
     def are_all_frozen(self) -> bool:
         """Whether that holds for the last frame of each camera."""
-        return bool(self._cameras) and all(c.is_frozen for c, _ in self._cameras.values())
+        return bool(self._cameras) and all(c.is_frozen for c in self._cameras.values())
 
     def set_extrinsics(self, name: str, camera: OtherCamera) -> None:
         """Use other extrinsics of a camera from its next frame on."""
@@ -315,16 +315,12 @@ class FrozenCameras:
         camera is ignored, as its landmarks may not be in view any more; the return value is None.
         """
         if camera not in self._cameras:
-            self._cameras = {
-                name: (detector, newest)
-                for name, (detector, newest) in self._cameras.items()
-                if t - newest < REPEAT_MEMORY_S
-            }
-            self._cameras[camera] = FrozenCamera(self._robot.mount_of(camera).yaw), t
-        detector, newest = self._cameras[camera]
-        if t < newest:
+            known = self._cameras.items()
+            self._cameras = {n: c for n, c in known if t - c.newest < REPEAT_MEMORY_S}
+            self._cameras[camera] = FrozenCamera(self._robot.mount_of(camera).yaw)
+        detector = self._cameras[camera]
+        if t < detector.newest:
             return None
-        self._cameras[camera] = detector, t
         frozen = detector.add_bearings(t, sightings, reckoned)
         self.is_frozen = detector.is_frozen
         return frozen

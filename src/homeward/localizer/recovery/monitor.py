@@ -19,7 +19,6 @@ from scipy.linalg import block_diag
 
 from homeward.estimator import MIN_AGREEING, Innovation
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.bodies import Bodies
 from homeward.localizer.map.gating import Gated
@@ -27,7 +26,7 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import tested
-from homeward.localizer.map.survey.factors import SurveyFactors
+from homeward.localizer.map.survey.factors import SurveyFactors, distance_and_jacobian
 from homeward.localizer.motions import Motion
 from homeward.localizer.recovery.relocalise import Displacement, Search, at_pose
 from homeward.localizer.tunables import (
@@ -433,12 +432,8 @@ def has_other_scale(before: Landmarks, now: Landmarks) -> bool:
 def _log_distances(known: Landmarks, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return the logarithms of the distances of m pairs of landmarks, (m,), and their variances."""
     state = known.smoother.all_landmarks.joint(known.ids(names))
-    i, j = np.triu_indices(len(names), 1)
-    apart = state.positions[i] - state.positions[j]
-    square = np.maximum((apart**2).sum(axis=1), MIN_DISTANCE**2)
-    jacobian = np.zeros((i.size, state.mean.size))
-    rows = np.arange(i.size)[:, None]
-    jacobian[rows, Marginal.columns(i)] = apart / square[:, None]
-    jacobian[rows, Marginal.columns(j)] = -apart / square[:, None]
-    variance = ((jacobian @ state.covariance) * jacobian).sum(axis=1)
-    return 0.5 * np.log(square), variance
+    pairs = np.column_stack(np.triu_indices(len(names), 1))
+    apart, along = distance_and_jacobian(state.positions[pairs])
+    jacobian, at = np.zeros((apart.size, state.mean.size)), Marginal.columns(pairs.ravel())
+    np.put_along_axis(jacobian, at.reshape(-1, 4), along / apart[:, None], axis=1)
+    return np.log(apart), ((jacobian @ state.covariance) * jacobian).sum(axis=1)

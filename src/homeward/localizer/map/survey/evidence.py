@@ -67,9 +67,9 @@ class Residuals:
         k, m = index.size, len(pairs)
         jacobian, off = np.zeros((2 * k + m, free.mean.size - HEAD)), np.zeros(2 * k + m)
         jacobian[np.arange(2 * k), coordinates(index)] = 1.0
-        for i, pair in enumerate(pairs, 2 * k):
-            apart, jacobian[i, coordinates(pair)] = distance_and_jacobian(free.positions[pair])
-            off[i] = apart - factors.distances[i - 2 * k]
+        apart, along = distance_and_jacobian(free.positions[pairs])
+        at = coordinates(pairs.ravel()).reshape(-1, 4)
+        jacobian[2 * k + np.arange(m)[:, None], at], off[2 * k :] = along, apart - factors.distances
         of_map = jacobian @ free.covariance[HEAD:, HEAD:] @ jacobian.T
         of_map[2 * k :, 2 * k :] += np.diag(factors.distance_sigmas**2)
         return Residuals(factors, size, free.positions[index], of_map, off)

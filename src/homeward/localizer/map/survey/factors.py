@@ -7,7 +7,6 @@ scale), and is eliminated.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -193,8 +192,8 @@ def coordinates(index: np.ndarray) -> np.ndarray:
     return np.asarray((2 * index[:, None] + np.arange(2)).ravel())
 
 
-def distance_and_jacobian(two: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the distance of two positions (2, 2), and its Jacobian by them, (4,)."""
-    off = two[1] - two[0]
-    apart = max(math.hypot(*off.tolist()), 1e-6)
-    return apart, np.concatenate([-off, off]) / apart
+def distance_and_jacobian(two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances (...) of two positions (..., 2, 2), and the Jacobians by them, (..., 4)."""
+    off = two[..., 1, :] - two[..., 0, :]
+    apart = np.maximum(np.hypot(off[..., 0], off[..., 1]), 1e-6)
+    return apart, np.concatenate([-off, off], axis=-1) / apart[..., None]
