@@ -377,9 +377,11 @@ class Chart:
         rejected = self.map.landmarks.update_rejections(gated.fits)
         may_move = rejected and not self.map.has_doubt
         moved = self.monitor.moved_landmarks(rejected) if may_move else []
+        before = {*self.map.landmarks.former}
         try:
             changed = self.map.update(gated, moved)
-            carried = carried_since(self.map.landmarks) if changed else None
+            is_new = self.map.landmarks.former.keys() - before
+            carried = carried_since(self.map.landmarks) if is_new else None
             if carried is None:
                 return changed
             self.map.revert_to(carried)
