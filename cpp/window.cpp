@@ -171,7 +171,7 @@ namespace {
 // Constants of localizer/tunables.py.
 struct WindowTunables {
   double gate, linear, close, converged, overshoot, negligible, rounding, min_distance;
-  int max_steps;
+  int max_steps, max_shortened;
 };
 
 // reference.window.Window: the arrays, which must not change meanwhile, and the estimate of the unknowns.
@@ -221,17 +221,19 @@ class Window {
     bool converged = false;
     Step last;
     double slope = 0.0;  // of the log density along the last step, where it began; 0: there is none
-    for (int left = tunables_.max_steps; left-- > 0 && !converged;) {
+    int left = tunables_.max_steps, shortened = 0;
+    while (left > 0 && !converged) {
       e.clear();
       add_to(e);
       if (!add_more.is_none()) add_more(e.arrays(), array_of(poses_, {w, 3}), array_of(Matrix(shared_), {a}));
-      const double end = slope > 0.0 && left ? along(e, last) : 0.0;
+      const double end = slope > 0.0 && shortened < tunables_.max_shortened ? along(e, last) : 0.0;
       if (end < -tunables_.overshoot * slope) {  // back to the minimum along the step
         const double beyond = end / (end - slope);
         poses_ -= beyond * last.poses, shared_ -= beyond * last.shared;
-        slope = 0.0;
+        slope = 0.0, left++, shortened++;  // it does not count
         continue;
       }
+      left--;
       const Elimination eliminated(e);
       last = eliminated.solve();
       if (!last.poses.allFinite() || !last.shared.allFinite()) throw std::domain_error("a step is not finite");
@@ -342,9 +344,9 @@ auto array(const char *name) { return nb::arg(name).noconvert(); }
 void bind_window(nanobind::module_ &m) {
   using namespace homeward;
   nb::class_<WindowTunables>(m, "WindowTunables")
-      .def(nb::init<double, double, double, double, double, double, double, double, int>(), nb::arg("gate"), nb::arg("linear"),
-           nb::arg("close"), nb::arg("converged"), nb::arg("overshoot"), nb::arg("negligible"), nb::arg("rounding"), nb::arg("min_distance"),
-           nb::arg("max_steps"));
+      .def(nb::init<double, double, double, double, double, double, double, double, int, int>(), nb::arg("gate"),
+           nb::arg("linear"), nb::arg("close"), nb::arg("converged"), nb::arg("overshoot"), nb::arg("negligible"),
+           nb::arg("rounding"), nb::arg("min_distance"), nb::arg("max_steps"), nb::arg("max_shortened"));
   nb::class_<Window>(m, "Window")
       .def(nb::init<In, In, In, In, In, In, Numbers, Numbers, Numbers, In, In, In, In, In, In, In, Flags, Flags,
                     const WindowTunables &>(),

@@ -36,6 +36,7 @@ from homeward.localizer.tunables import (
     MAJORITY,
     MAX_HOME_TURN,
     MAX_LAG_S,
+    MAX_SHORTENED,
     MAX_SOLVE_STEPS,
     MEAN_S,
     MIN_BEARING_SIGMA,
@@ -157,6 +158,7 @@ def _window_tunables(build: Callable[..., Any]) -> Any:
         rounding=ROUNDING,
         min_distance=MIN_DISTANCE,
         max_steps=MAX_SOLVE_STEPS,
+        max_shortened=MAX_SHORTENED,
     )
 
 

@@ -343,8 +343,10 @@ MIN_RANGE_RATIO, MAX_RANGE_RATIO, NUM_RANGES = 0.1, 30.0, 24
 """
 RANGE_STEPS = 2
 """Gauss-Newton steps of a direction: the residuals are nearly linear in it."""
-MAX_SOLVE_STEPS = 12
+MAX_SOLVE_STEPS = 5
 """Largest number of Gauss-Newton steps: most solutions need one, from the last one."""
+MAX_SHORTENED = 8
+"""Largest number of steps that are shortened; they come on top."""
 OVERSHOOT = 0.5
 """A step that ends on the other side of the minimum along it, at more than this share of the slope
 where it began, is shortened to it: next to a landmark, bearings are linear over centimetres."""

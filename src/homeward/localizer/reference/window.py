@@ -31,6 +31,7 @@ from homeward.localizer.reference.factors import (
 from homeward.localizer.tunables import (
     CLOSE,
     LINEAR,
+    MAX_SHORTENED,
     MAX_SOLVE_STEPS,
     NEGLIGIBLE_CALIBRATION,
     OVERSHOOT,
@@ -105,11 +106,14 @@ def solve(window: Window, add_more: AddMore | None = None) -> Solution:
     """
     has_converged = False
     last: Step | None = None
-    for left in reversed(range(MAX_SOLVE_STEPS)):
+    left, shortened = MAX_SOLVE_STEPS, 0
+    while left:
         equations = linearised(window, add_more).equations
-        if last and left and (beyond := last.beyond(equations)):
+        if last and shortened < MAX_SHORTENED and (beyond := last.beyond(equations)):
             window, last = _stepped(window, last, -beyond), None
+            left, shortened = left + 1, shortened + 1  # it does not count
             continue
+        left -= 1
         poses, shared, covariance = eliminate(equations).solve()
         if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
             raise np.linalg.LinAlgError("a step is not finite")
