@@ -115,7 +115,7 @@ class Session:
         self._watchers.append(watcher)
 
     def receive(self, message: msg.Input, now: float, sender: object = None) -> None:
-        """FaultCheck a message and queue it for `process`. Fast.
+        """Check a message and queue it for `process`. Fast.
 
         If the queue is full, a message of the sender with the most of them is dropped.
         `InputError` at the release of an emergency stop of another sender. `InternalError` at any
