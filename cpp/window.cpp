@@ -170,8 +170,8 @@ namespace {
 
 // Constants of localizer/tunables.py.
 struct WindowTunables {
-  double gate, linear, close, converged, overshoot, negligible, rounding, min_distance;
-  int max_steps, max_shortened;
+  double gate, linear, close, converged, negligible, rounding, min_distance;
+  int max_steps;
 };
 
 // reference.window.Window: the arrays, which must not change meanwhile, and the estimate of the unknowns.
@@ -219,28 +219,16 @@ class Window {
     OwnEquations e(w, a);
     Matrix covariance;
     bool converged = false;
-    Step last;
-    double slope = 0.0;  // of the log density along the last step, where it began; 0: there is none
-    int left = tunables_.max_steps, shortened = 0;
-    while (left > 0 && !converged) {
+    for (int k = 0; k < tunables_.max_steps && !converged; k++) {
       e.clear();
       add_to(e);
       if (!add_more.is_none()) add_more(e.arrays(), array_of(poses_, {w, 3}), array_of(Matrix(shared_), {a}));
-      const double end = slope > 0.0 && shortened < tunables_.max_shortened ? along(e, last) : 0.0;
-      if (end < -tunables_.overshoot * slope) {  // back to the minimum along the step
-        const double beyond = end / (end - slope);
-        poses_ -= beyond * last.poses, shared_ -= beyond * last.shared;
-        slope = 0.0, left++, shortened++;  // it does not count
-        continue;
-      }
-      left--;
       const Elimination eliminated(e);
-      last = eliminated.solve();
-      if (!last.poses.allFinite() || !last.shared.allFinite()) throw std::domain_error("a step is not finite");
-      const bool is_small = move(last) < tunables_.converged;
-      slope = along(e, last);
+      const Step step = eliminated.solve();
+      const bool is_small = move(step) < tunables_.converged;
       converged = !bound() && is_small;
-      if (converged || !left) covariance = eliminated.covariance();
+      if (!step.poses.allFinite() || !step.shared.allFinite()) throw std::domain_error("a step is not finite");
+      if (converged || k + 1 == tunables_.max_steps) covariance = eliminated.covariance();
     }
     if (!covariance.allFinite()) throw std::domain_error("a step is not finite");
     if (!(covariance.diagonal().array() > 0.0).all()) throw std::domain_error("a variance is not positive");
@@ -274,15 +262,8 @@ class Window {
     }
   }
 
-  // The slope of the log density along a step.
-  double along(const Equations &e, const Step &step) const {
-    const size_t n = 3 * w;
-    return Eigen::Map<const Vector>(e.slope, n).dot(Eigen::Map<const Vector>(step.poses.data(), n)) +
-           e.common_slope_all().dot(step.shared);
-  }
-
-  // Apply a step, limited to the linear range, which it then is; return its full size.
-  double move(Step &step) {
+  // Apply a step, limited to the linear range; return its full size.
+  double move(const Step &step) {
     const size_t n = (a - NC) / 2;
     std::vector<double> distances(n), apart(n);
     for (size_t k = 0; k < n; k++) {
@@ -296,11 +277,8 @@ class Window {
     const double shift = std::max(step.poses.leftCols(2).cwiseAbs().maxCoeff(),
                                   step.shared.segment<2>(CAMERA_X).cwiseAbs().maxCoeff());
     const double limited = 1.0 / std::max(1.0, std::max(turn, share) / tunables_.linear);
-    const double size =
-        std::max(std::max(turn, share), std::max(shift / scale, step.shared.head(CAMERA_X).cwiseAbs().maxCoeff()));
-    step.poses *= limited, step.shared *= limited;
-    poses_ += step.poses, shared_ += step.shared;
-    return size;
+    poses_ += limited * step.poses, shared_ += limited * step.shared;
+    return std::max(std::max(turn, share), std::max(shift / scale, step.shared.head(CAMERA_X).cwiseAbs().maxCoeff()));
   }
 
   // Update which unknowns are kept at zero; return whether any changed.
@@ -344,9 +322,9 @@ auto array(const char *name) { return nb::arg(name).noconvert(); }
 void bind_window(nanobind::module_ &m) {
   using namespace homeward;
   nb::class_<WindowTunables>(m, "WindowTunables")
-      .def(nb::init<double, double, double, double, double, double, double, double, int, int>(), nb::arg("gate"),
-           nb::arg("linear"), nb::arg("close"), nb::arg("converged"), nb::arg("overshoot"), nb::arg("negligible"),
-           nb::arg("rounding"), nb::arg("min_distance"), nb::arg("max_steps"), nb::arg("max_shortened"));
+      .def(nb::init<double, double, double, double, double, double, double, int>(), nb::arg("gate"), nb::arg("linear"),
+           nb::arg("close"), nb::arg("converged"), nb::arg("negligible"), nb::arg("rounding"), nb::arg("min_distance"),
+           nb::arg("max_steps"));
   nb::class_<Window>(m, "Window")
       .def(nb::init<In, In, In, In, In, In, Numbers, Numbers, Numbers, In, In, In, In, In, In, In, Flags, Flags,
                     const WindowTunables &>(),

@@ -36,7 +36,6 @@ from homeward.localizer.tunables import (
     MAJORITY,
     MAX_HOME_TURN,
     MAX_LAG_S,
-    MAX_SHORTENED,
     MAX_SOLVE_STEPS,
     MEAN_S,
     MIN_BEARING_SIGMA,
@@ -46,7 +45,6 @@ from homeward.localizer.tunables import (
     NEGLIGIBLE_CALIBRATION,
     NUM_BENDS,
     OUTLIER_SIGMA,
-    OVERSHOOT,
     SOLVE_CONVERGED,
     SPEED_TIME_S,
     TURN_TIME_S,
@@ -153,12 +151,10 @@ def _window_tunables(build: Callable[..., Any]) -> Any:
         linear=LINEAR,
         close=CLOSE,
         converged=SOLVE_CONVERGED,
-        overshoot=OVERSHOOT,
         negligible=NEGLIGIBLE_CALIBRATION,
         rounding=ROUNDING,
         min_distance=MIN_DISTANCE,
         max_steps=MAX_SOLVE_STEPS,
-        max_shortened=MAX_SHORTENED,
     )
 
 

@@ -345,11 +345,6 @@ RANGE_STEPS = 2
 """Gauss-Newton steps of a direction: the residuals are nearly linear in it."""
 MAX_SOLVE_STEPS = 5
 """Largest number of Gauss-Newton steps: most solutions need one, from the last one."""
-MAX_SHORTENED = 8
-"""Largest number of steps that are shortened; they come on top."""
-OVERSHOOT = 0.5
-"""A step that ends on the other side of the minimum along it, at more than this share of the slope
-where it began, is shortened to it: next to a landmark, bearings are linear over centimetres."""
 RANGE_CORRELATION_S = 10.0
 """Correlation time of the errors of ranges [s], or as long as the landmark has been in view if that
 is longer: on five real drives with barcodes the correlation is 0.9 after 0.5 s, 0.4 after 6 s and

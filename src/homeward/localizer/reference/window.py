@@ -31,10 +31,8 @@ from homeward.localizer.reference.factors import (
 from homeward.localizer.tunables import (
     CLOSE,
     LINEAR,
-    MAX_SHORTENED,
     MAX_SOLVE_STEPS,
     NEGLIGIBLE_CALIBRATION,
-    OVERSHOOT,
     SOLVE_CONVERGED,
 )
 
@@ -105,27 +103,16 @@ def solve(window: Window, add_more: AddMore | None = None) -> Solution:
     `numpy.linalg.LinAlgError` when the normal equations are singular.
     """
     has_converged = False
-    last: Step | None = None
-    left, shortened = MAX_SOLVE_STEPS, 0
-    while left:
-        equations = linearised(window, add_more).equations
-        if last and shortened < MAX_SHORTENED and (beyond := last.beyond(equations)):
-            window, last = _stepped(window, last, -beyond), None
-            left, shortened = left + 1, shortened + 1  # it does not count
-            continue
-        left -= 1
-        poses, shared, covariance = eliminate(equations).solve()
-        if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
+    for _ in range(MAX_SOLVE_STEPS):
+        step, common, covariance = eliminate(linearised(window, add_more).equations).solve()
+        if not (np.isfinite(step).all() and np.isfinite(covariance).all()):
             raise np.linalg.LinAlgError("a step is not finite")
         if not (covariance.diagonal() > 0.0).all():
             raise np.linalg.LinAlgError("a variance is not positive")
-        share, size = _linear_share(window, poses, shared)
-        last = Step(share * poses, share * shared, 0.0)
-        last = last._replace(slope=last.along(equations))
-        window = _stepped(window, last, 1.0)
-        before, bounded = window.is_bounded, _bounded(window)
-        window = window._replace(is_bounded=bounded)
-        has_converged = size < SOLVE_CONVERGED and bool((bounded == before).all())
+        window, size = _moved(window, step, common)
+        before, now = window.is_bounded, _bounded(window)
+        window = window._replace(is_bounded=now)
+        has_converged = size < SOLVE_CONVERGED and bool((now == before).all())
         if has_converged:
             break
     return Solution(window.poses, window.shared, covariance, window.is_bounded, has_converged)
@@ -161,46 +148,19 @@ def add_prior(e: NormalEquations, window: Window) -> None:
     e.common_slope[:] += downhill[3:]
 
 
-class Step(NamedTuple):
-    """A step of the solution."""
-
-    poses: np.ndarray
-    """(w, 3)"""
-    shared: np.ndarray
-    """(a,)"""
-    slope: float
-    """Slope of the log density along it, where it began."""
-
-    def along(self, e: NormalEquations) -> float:
-        """Return the slope of the log density along it, by normal equations."""
-        return float((e.slope * self.poses).sum() + e.common_slope @ self.shared)
-
-    def beyond(self, end: NormalEquations) -> float:
-        """Return its share that is beyond the minimum along it, by normal equations at its end.
-
-        Zero where that is not notable.
-        """
-        now = self.along(end)
-        return now / (now - self.slope) if now < -OVERSHOOT * self.slope else 0.0
-
-
-def _linear_share(window: Window, poses: np.ndarray, shared: np.ndarray) -> tuple[float, float]:
-    """Return the share of a step that stays in the linear range, and the step's full size."""
+def _moved(window: Window, poses: np.ndarray, common: np.ndarray) -> tuple[Window, float]:
+    """Return the window after a step, limited to the linear range, and the step's full size."""
     landmarks, eye = window.shared[NC:].reshape(-1, 2), window.poses[-1, :2]
     distances = np.hypot(*(landmarks - eye).T)
     scale = max(float(np.median(distances)), MIN_DISTANCE) if len(landmarks) else math.inf
     reach = distances + CLOSE * scale
     turn = float(np.abs(poses[:, 2]).max())
-    apart = float((np.hypot(*shared[NC:].reshape(-1, 2).T) / reach).max(initial=0.0))
-    shift = max(np.abs(poses[:, :2]).max(), np.abs(shared[CAMERA_X:NC]).max())
-    size = max(turn, apart, shift / scale, np.abs(shared[:CAMERA_X]).max())
-    return 1.0 / max(1.0, max(turn, apart) / LINEAR), float(size)
-
-
-def _stepped(window: Window, step: Step, share: float) -> Window:
-    """Return the window after a share of a step."""
-    poses, shared = window.poses + share * step.poses, window.shared + share * step.shared
-    return window._replace(poses=poses, shared=shared)
+    share = float((np.hypot(*common[NC:].reshape(-1, 2).T) / reach).max(initial=0.0))
+    shift = max(np.abs(poses[:, :2]).max(), np.abs(common[CAMERA_X:NC]).max())
+    size = max(turn, share, shift / scale, np.abs(common[:CAMERA_X]).max())
+    limited = 1.0 / max(1.0, max(turn, share) / LINEAR)
+    moved = window.poses + limited * poses, window.shared + limited * common
+    return window._replace(poses=moved[0], shared=moved[1]), float(size)
 
 
 def _bounded(window: Window) -> np.ndarray:
