@@ -51,7 +51,8 @@ CORE = (
 )
 """Tests of the core, which `make test-core` runs where vision, lab and studio are not installed."""
 OUTSIDE_CORE = re.compile(
-    r"homeward\.(lab|vision|studio)\b|\b(benchmarks|casadi|cv2|live_rig|made_up_study)\b"
+    r"homeward\.(lab|vision|studio)\b|\b(benchmarks|casadi|cv2|live_rig|made_up_study"
+    r"|test_live_place|test_server|wandering_drives)\b"
 )
 """A file of these folders that mentions one of these needs more than the core."""
 
