@@ -39,8 +39,8 @@ MIN_SIGHTINGS = 6
 """Sightings before anything is decided about a landmark: if half of them are wrong, three right
 ones remain, and one of these checks the other two."""
 ESTABLISHED = 2 * MIN_SIGHTINGS
-"""Sightings at the old place, and again at the new one, before a landmark is declared moved; frames
-of a window in which the bearings of a slow camera are compared."""
+"""Sightings at the old place, and again at the new one, before a landmark is declared moved; also
+the fewest frames in which the bearings of a camera are compared with odometry that is zero."""
 MAX_NOISE_RATIO = 1.5
 """Given standard deviations are overruled if residuals are larger by more than this factor [1]."""
 
@@ -190,9 +190,9 @@ MAX_HOME_TURN = 1.0
 MAX_TRIPLES = 600
 """Largest number of triples; if there are more, they are drawn with a fixed seed."""
 CLOSE_STEPS = 3
-"""Steps that several cameras are reduced to one in, each of which divides the error by the distance
-of the landmarks over that of the cameras, and of an alignment that begins at the solution for
-uncorrelated coordinates."""
+"""Steps of an iteration that begins close to its end: a pose from several cameras, where each step
+divides the error by the distance of the landmarks over that of the cameras, and an alignment, which
+begins at the solution for uncorrelated coordinates."""
 SEARCH_EVERY = 40
 """Keyframes between two searches from scratch ..."""
 SEARCH_PATIENCE = 10

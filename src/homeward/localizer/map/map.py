@@ -198,7 +198,7 @@ class Map:
 
     def _test_changes(self) -> None:
         """Test the last solution for a knocked camera, and for another scale of the odometry."""
-        camera, odometry = self.changes.values()
+        camera, odometry = self.changes[CAMERA_YAW], self.changes[SPEED_SCALE]
         camera.add_yaw(self.smoother, self._extrinsics.widest(self.smoother.state.scale))
         odometry.add_scale(self.smoother, camera.square)
         if odometry.square > camera.square:

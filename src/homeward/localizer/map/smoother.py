@@ -297,8 +297,8 @@ class Smoother:
         turn; its robust weight then decides how far this one is an outlier.
         """
         self.stamps.append(t)
-        across, along, turn = motion.covariance.diagonal().tolist()
-        self.variances.add((across + along, turn))
+        x, y, turn = motion.covariance.diagonal().tolist()
+        self.variances.add((x + y, turn))
         step = step_row(motion, t - self.stamps[-2])
         scale_steps(step, inlier_ratios)
         self._steps.extend(step)
