@@ -225,6 +225,23 @@ def test_refuses(tmp_path, name, content, message):
     assert refusal(read_folder, folder).startswith(message)
 
 
+@pytest.mark.parametrize("end", [b"0.2", b"0.2,1.0,", b"0.2,1.0,-", b"0.2,1.0,1e-", b'0.2,1.0,"0'])
+def test_a_last_row_that_is_cut_off_is_left_out_with_a_remark(tmp_path, end):
+    rows = b"t,v,omega\n0,1.0,0.0\n0.1,1.0,0.0\n"
+    drive = read_folder(put(tmp_path / "run", odometry_csv=rows + end))
+    assert drive.odometry.t.tolist() == [0.0, 0.1]
+    assert drive.remarks["last row of odometry.csv, which is cut off and left out"] == 1
+    folder = put(tmp_path / "more", odometry_csv=rows + end + b"\n0.3,1.0,0.0\n")
+    assert refusal(read_folder, folder).startswith("odometry.csv, row 4: ")
+
+
+def test_headers_of_joined_files_are_left_out_with_a_remark(tmp_path):
+    rows = b"t,v,omega\n0,1,0\nt,v,omega\n0.1,1,0\n"
+    drive = read_folder(put(tmp_path / "run", odometry_csv=rows))
+    assert drive.odometry.t.tolist() == [0.0, 0.1]
+    assert drive.remarks["repeated header lines of odometry.csv, left out"] == 1
+
+
 def test_a_fault_far_down_a_long_file_is_found(tmp_path):
     rows = [b"%d,0,0" % i for i in range(5000)]
     rows[4321] = b"4321,0,zero"

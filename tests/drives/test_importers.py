@@ -507,7 +507,70 @@ def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
     found = understand(write(tmp_path, odom=table("date,v,w", (f"{h},1,0" for h in hours))))
     assert found[0].table["t"].tolist() == [1795435200.0, 1795435200.5]
     with pytest.raises(InputError, match="must be a number or a time like 2026-11-23 12:00"):
-        understand(write(tmp_path, odom="date,v,w\n11/23/2026 12:00:00,1,0\n"))
+        understand(write(tmp_path, odom="date,v,w\nNov 23 2026 12:00:00,1,0\n"))
+
+
+@pytest.mark.parametrize(
+    ("noon", "later"),
+    [
+        ("23/11/2026 12:00:00", "23/11/2026 12:00:00.5"),
+        ("11/23/2026 12:00:00", "11/23/2026 12:00:00.5"),
+        ("2026/11/23 12:00:00", "2026/11/23 12:00:00.5"),
+        ("12:00:00", "12:00:00.5"),
+    ],
+)
+def test_times_may_have_slashes_or_no_date(tmp_path, noon, later):
+    found = understand(write(tmp_path, odom=f"time,v,w\n{noon},1,0\n{later},1,0\n"))
+    first, last = found[0].table["t"].tolist()
+    assert (first % 86400, last - first) == (43200, 0.5)
+
+
+def test_a_date_that_may_have_the_month_first_is_refused(tmp_path):
+    with pytest.raises(InputError, match="may have the day or the month first; write 2026-11-23"):
+        understand(write(tmp_path, odom="date,v,w\n11/12/2026 12:00:00,1,0\n"))
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le"])
+def test_text_files_of_windows_are_read(tmp_path, encoding):
+    file = tmp_path / "odom.csv"
+    file.write_bytes("sep=;\nt;v;w\n0,0;1,0;0,1\n0,1;1,0;#NUM!\n0,2;1,0;0,1\n".encode(encoding))
+    found = understand([file])
+    assert found[0].table["t"].tolist() == [0.0, 0.2]
+
+
+def test_an_unnamed_index_of_times_has_the_stamps(tmp_path):
+    text = ",v,w\n2026-11-23 12:00:00+00:00,1,0\n2026-11-23 12:00:00.5+00:00,1,0\n"
+    assert len(understand(write(tmp_path, odom=text))[0].table) == 2
+
+
+def test_fields_of_topics_in_one_table_are_landmarks(tmp_path):
+    rows = (f"{k},1,0,{0.01 * k},,1\n" for k in range(9))
+    text = "__time,/odom/v,/odom/w,/bearings/L1,/tags/L2/bearing,/bearings/L3\n" + "".join(rows)
+    found = understand(write(tmp_path, log=text, home="id,bearing\nL1,0\nL2,1\nL3,2\n"))
+    seen = next(one.table for one in found if one.kind == "bearings")
+    assert set(seen["landmark"].tolist()) == {"L1", "L3"}
+
+
+@pytest.mark.parametrize(
+    ("seen", "advice"),
+    [
+        ('t,ids,bearings\n0,"[1, 2]","[0.1, 0.2]"\n1,"[3]","[0.1]"\n', "values in the lists"),
+        ("t,a_x,a_y,b_x,b_y,c_x,c_y\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n", "positions, with the time"),
+    ],
+)
+def test_several_landmarks_in_a_row_are_refused_with_the_form_to_write(tmp_path, seen, advice):
+    with pytest.raises(InputError, match=f"write a row for each of the {advice}"):
+        understand(write(tmp_path, odom="t,v,w\n0,1,0\n", seen=seen))
+
+
+@pytest.mark.parametrize(("unit", "step"), [("ms", 50), ("s", 0.05)])
+def test_stamps_of_two_clocks_with_one_unit_named_have_a_unit_each(tmp_path, unit, step):
+    rows = (f"{k * step:g},1,0.1" for k in range(400))
+    odom = table(f"time [{unit}],v,w", rows)
+    seen = table("t,landmark,bearing", (f"{0.2 * k:g},a,0.1" for k in range(100)))
+    found = understand(write(tmp_path, odom=odom, seen=seen))
+    stamps = next(one.table["t"] for one in found if one.kind == "bearings")
+    assert stamps[-1] == pytest.approx(19.8)
 
 
 @pytest.mark.parametrize(

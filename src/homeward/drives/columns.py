@@ -21,7 +21,8 @@ _SPEEDS = {
     **{"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "m/min": 1 / 60},
     **{"ft/s": 0.3048, "in/s": 0.0254, "mph": 0.44704, "kn": 1852 / 3600},
 }
-_RATES = {"rad/s": 1.0, "deg/s": _DEG, "rpm": math.tau / 60, "rev/s": math.tau}
+_RATES = {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rpm": math.tau / 60}
+_RATES |= {"rev/s": math.tau, "gon/s": math.pi / 200}
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "speed": _SPEEDS,
@@ -43,7 +44,14 @@ _SPELT = {
     **{"tick": "ticks", "count": "ticks", "counts": "ticks", "pulses": "ticks", "revs": "rev"},
     **{"mins": "min", "minutes": "min", "ms-1": "m/s", "ms^-1": "m/s", "fps": "ft/s"},
     **{"kt": "kn", "kts": "kn", "knots": "kn", "rads-1": "rad/s", "rads^-1": "rad/s"},
-    **{"grad": "deg", "grad/s": "deg/s", "gons": "gon", "turns": "rev", "revolutions": "rev"},
+    **{
+        "grad": "deg",
+        "grad/s": "deg/s",
+        "gons": "gon",
+        "gradians": "gon",
+        "turns": "rev",
+        "revolutions": "rev",
+    },
     **{"rev/min": "rpm", "feet": "ft", "inches": "inch", "inch/s": "in/s"},
 }
 _BRACKETED = re.compile(r"([\[(<])([^\])>]+)[\])>]\s*$")

@@ -275,7 +275,7 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     A row in which both v and omega are empty starts an interval of unknown motion.
     """
     columns = {"t": numbers, "v": numbers_or_nan, "omega": numbers_or_nan}
-    table = read_csv(path, columns, {"vy": numbers_or_nan}, advice=IMPORT_ADVICE)
+    table = read_csv(path, columns, {"vy": numbers_or_nan}, advice=IMPORT_ADVICE, remarks=remarks)
     for name in sorted(table.columns.keys() - {"t"}):
         empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
         if empty.any():
@@ -304,7 +304,9 @@ def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
     columns["landmark"] = identifiers_or_empty
     optional: dict[str, Parser] = dict.fromkeys(OPTIONAL_COLUMNS, numbers_or_nan)
     optional[CAMERA] = identifiers_or_empty
-    return sightings_of(read_csv(path, columns, optional, advice=IMPORT_ADVICE), remarks)
+    return sightings_of(
+        read_csv(path, columns, optional, advice=IMPORT_ADVICE, remarks=remarks), remarks
+    )
 
 
 def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
@@ -362,7 +364,9 @@ def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Read a home.csv (landmark, bearing[, sigma][, camera]); as `read_folder`."""
     columns: dict[str, Parser] = {"landmark": identifiers_or_empty, "bearing": numbers}
     optional: dict[str, Parser] = {"sigma": numbers_or_nan, CAMERA: identifiers_or_empty}
-    return home_of(read_csv(path, columns, optional, advice=IMPORT_ADVICE), remarks)
+    return home_of(
+        read_csv(path, columns, optional, advice=IMPORT_ADVICE, remarks=remarks), remarks
+    )
 
 
 def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
@@ -415,7 +419,7 @@ def read_samples(kind: type[Sampled], path: Path, remarks: dict[str, int]) -> Sa
     if not is_there(path):
         return None
     columns = {column.name: numbers for column in fields(kind)}
-    return samples_of(kind, read_csv(path, columns, advice=IMPORT_ADVICE), remarks)
+    return samples_of(kind, read_csv(path, columns, advice=IMPORT_ADVICE, remarks=remarks), remarks)
 
 
 def samples_of(kind: type[Sampled], table: Table, remarks: dict[str, int]) -> Sampled:

@@ -38,7 +38,7 @@ def read_images(folder: Path, remarks: dict[str, int]) -> Images:
     table_file = folder / IMAGES
     if not is_there(table_file):
         return Images(np.empty(0), [])
-    table = read_csv(table_file, {"t": numbers, "file": identifiers})
+    table = read_csv(table_file, {"t": numbers, "file": identifiers}, remarks=remarks)
     table.require_order()
     t = table["t"]
     files = [_image(folder, str(name)) for name in table["file"]]

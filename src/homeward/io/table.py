@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, TextIO
+from typing import IO, TextIO, TypeAlias
 
 import numpy as np
 
@@ -123,6 +123,57 @@ class Form:
 
 
 PLAIN = Form()
+CUT_OFF = "last row of {}, which is cut off and left out"
+HEADER_AGAIN = "repeated header lines of {}, left out"
+_PARTIAL = re.compile(r"[+-]?\.?|.*\d[eE][+-]?")
+"""A number without its end, as far as that shows."""
+
+
+Records: TypeAlias = list[tuple[int, list[str]]]
+"""Rows and their fields."""
+
+
+class _Lines:
+    """Lines of a file that may be cut off, or joined from several that have a header each."""
+
+    def __init__(
+        self, lines: Iterable[str], num_header: int, remarks: dict[str, int] | None
+    ) -> None:
+        self.is_cut = False
+        """Whether the last line that was read has no line end; False without `remarks`."""
+        self.remarks = remarks
+        self.repeats = 0
+        self.lines = iter(lines) if remarks is None else self._without_headers(lines, num_header)
+
+    def __iter__(self) -> Iterator[str]:
+        return self.lines
+
+    def _without_headers(self, lines: Iterable[str], num_header: int) -> Iterator[str]:
+        """Yield the lines, with a blank one for each that repeats one of the header."""
+        header = set[str]()
+        for k, line in enumerate(lines):
+            text = line.rstrip("\r\n")
+            self.is_cut = text == line
+            self.repeats += text in header
+            yield "\n" if text in header else line
+            if k < num_header and any(map(str.isalpha, text)):
+                header.add(text)
+
+    def whole(self, records: Records, width: int, path: Path) -> Records:
+        """Return the records read last, without one that the end of the file cuts off."""
+        if self.remarks is not None and self.repeats:
+            self.remarks[HEADER_AGAIN.format(path.name)] = self.repeats
+        if self.remarks is None or not self.is_cut or not records:
+            return records
+        *before, (_, last) = records
+        is_partial = len(last) < width or (
+            len(last) == width
+            and bool(_PARTIAL.fullmatch(last[-1].strip()))
+            and all(fields[-1].strip() != last[-1].strip() for _, fields in before)
+        )
+        if is_partial:
+            self.remarks[CUT_OFF.format(path.name)] = 1
+        return before if is_partial else records
 
 
 def read_csv(
@@ -131,14 +182,17 @@ def read_csv(
     optional: Mapping[str, Parser] | None = None,
     form: Form = PLAIN,
     advice: str = "",
+    remarks: dict[str, int] | None = None,
 ) -> Table:
     """Read the named columns of a CSV file with a header, in any order.
 
     Other columns, blank lines, a byte order mark and any line ending are accepted. A missing
     optional column is not in the table. `form` specifies other layouts; `advice` ends the error of
-    a missing column.
+    a missing column. With `remarks`, which count them, a last row that is cut off and header lines
+    that come again are left out.
     """
-    with text_lines(path, form.encoding) as lines:
+    with text_lines(path, form.encoding) as plain:
+        lines = _Lines(plain, form.skip if form.names else 1, remarks)
         list(itertools.islice(lines, form.skip))
         records = _csv_records(lines, path, form)
         row, header = (form.skip, form.names) if form.names else next(records, (1, None))
@@ -151,23 +205,24 @@ def read_csv(
             what = f"no column {', '.join(missing)} in the header{found}{advice}"
             raise InputError(what, path, row)
         indices = _column_indices(names, wanted, path, row)
-        return _collect(records, len(header), {n: (i, wanted[n]) for n, i in indices.items()}, path)
+        parsers = {name: (i, wanted[name]) for name, i in indices.items()}
+        return _collect(records, len(header), parsers, path, lines)
 
 
-def read_columns(path: Path, names: Sequence[str]) -> Table:
+def read_columns(path: Path, names: Sequence[str], remarks: dict[str, int] | None = None) -> Table:
     """Read a file of numbers separated by white space; ``#`` begins a comment line.
 
-    It has no header; its columns are called `names`, in order.
+    It has no header; its columns are called `names`, in order; `remarks` as of `read_csv`.
     """
-    with text_lines(path) as lines:
+    with text_lines(path) as plain:
+        lines = _Lines(plain, 0, remarks)
         records = (
             (row, line.split())
             for row, line in enumerate(lines, start=1)
             if line.strip() and not line.lstrip().startswith("#")
         )
-        return _collect(
-            records, len(names), {name: (i, numbers) for i, name in enumerate(names)}, path
-        )
+        parsers = {name: (i, numbers) for i, name in enumerate(names)}
+        return _collect(records, len(names), parsers, path, lines)
 
 
 def write_csv(path: Path, header: Iterable[object], rows: Iterable[Iterable[object]]) -> None:
@@ -291,7 +346,7 @@ def _is_finite_number(cell: str) -> bool:
 def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[Iterator[str]]:
     """Open a text file and iterate over its lines; an OSError becomes an InputError."""
     # Invalid UTF-8 becomes surrogates, so that the error can name the line.
-    damaged = "replace" if encoding == "utf-16" else "surrogateescape"
+    damaged = "replace" if encoding.startswith("utf-16") else "surrogateescape"
     options = {"encoding": encoding, "errors": damaged, "newline": ""}
     with naming(path, "cannot be read"), opened(path, "r", **options) as stream:
         yield _checked(stream, path)
@@ -310,7 +365,7 @@ def _checked(stream: IO[str], path: Path) -> Iterator[str]:
         yield line
 
 
-def _csv_records(lines: Iterator[str], path: Path, form: Form) -> Iterator[tuple[int, list[str]]]:
+def _csv_records(lines: _Lines, path: Path, form: Form) -> Iterator[tuple[int, list[str]]]:
     """Yield (row, fields) of each line that is not blank."""
     reader = csv.reader(lines, delimiter=form.delimiter, skipinitialspace=True, strict=True)
     row = form.skip + 1
@@ -320,6 +375,10 @@ def _csv_records(lines: Iterator[str], path: Path, form: Form) -> Iterator[tuple
                 yield row, with_values(fields, form.arrays) if form.arrays else fields
             row = form.skip + reader.line_num + 1
     except csv.Error as error:
+        is_open = str(error) == "unexpected end of data"
+        if is_open and lines.is_cut and row == form.skip + reader.line_num:
+            yield row, []
+            return
         raise InputError(f"not CSV: {error}", path, row) from error
 
 
@@ -360,17 +419,19 @@ def _collect(
     width: int,
     parsers: Mapping[str, tuple[int, Parser]],
     path: Path,
+    lines: _Lines,
 ) -> Table:
     """Parse the records in chunks, so that only the numbers of a long file stay in memory."""
     parts: dict[str, list[np.ndarray]] = {
         name: [parse(name, (), (), path)] for name, (_, parse) in parsers.items()
     }
     all_rows = [np.empty(0, int)]
-    while chunk := list(itertools.islice(records, CHUNK)):
+    while chunk := lines.whole(list(itertools.islice(records, CHUNK)), width, path):
         rows = [row for row, _ in chunk]
         for row, fields in chunk:
             if len(fields) != width:
-                raise InputError(f"{len(fields)} fields, but the header has {width}", path, row)
+                problem = f"{len(fields)} fields, but the header has {width}"
+                raise InputError(problem, path, row, advice="remove or complete the row")
         cells = list(zip(*(fields for _, fields in chunk), strict=True))
         for name, (index, parse) in parsers.items():
             parts[name].append(parse(name, cells[index], rows, path))

@@ -59,7 +59,8 @@ def read_mrclam(
     drive = Drive(
         name=f"{folder.resolve().name}-robot{robot}",
         odometry=odometry_of(
-            read_columns(folder / f"Robot{robot}_Odometry.dat", ("t", "v", "omega")), remarks
+            read_columns(folder / f"Robot{robot}_Odometry.dat", ("t", "v", "omega"), remarks),
+            remarks,
         ),
         sightings=_read_sightings(
             folder / f"Robot{robot}_Measurement.dat", subjects, set(landmarks), remarks
@@ -120,7 +121,7 @@ def _read_sightings(
     path: Path, subjects: dict[int, int], landmarks: set[int], remarks: dict[str, int]
 ) -> Sightings:
     """Read the sightings of landmarks; all other subjects are robots."""
-    table = read_columns(path, ("t", "barcode", "range", "bearing"))
+    table = read_columns(path, ("t", "barcode", "range", "bearing"), remarks)
     table = sorted_by_time(table, "bearings", remarks)
     seen = [subjects.get(barcode) for barcode in _whole(table, "barcode")]
     of_landmark = np.array([subject in landmarks for subject in seen], bool)
@@ -147,7 +148,7 @@ def _home_bearings(
 def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None:
     if not is_there(path):
         return None
-    table = read_columns(path, ("t", "x", "y", "heading"))
+    table = read_columns(path, ("t", "x", "y", "heading"), remarks)
     return samples_of(Truth, table, remarks).seen_from(home)
 
 

@@ -43,8 +43,25 @@ MIN_FIT = 0.7
 """Minimum fit of a path along its headings [1]; random directions have 0."""
 FULL_TURN_DEG, FULL_TURN_GON = 366.0, 400.5
 """Largest bearings of one turn in degrees, with some excess, and in gon; more count the turns."""
+MAX_RATE = 2000.0
+"""Rows a second beyond which stamps have another unit than those of the odometry."""
 MAX_TILT = 0.5
 """Roll and pitch without a unit beyond it may be in degrees [rad]."""
+
+
+@dataclass(frozen=True)
+class OdometryStamps:
+    """Stamps of odometry."""
+
+    unit: str
+    t: np.ndarray
+    """(n,), sorted [s]."""
+
+    def has(self, t: np.ndarray) -> tuple[bool, float]:
+        """Return whether rows at `t` [s] have a rate below `MAX_RATE`, and their share in it."""
+        steps = np.diff(np.unique(t))
+        inside = (t >= self.t[0]) & (t <= self.t[-1])
+        return steps.size == 0 or float(np.median(steps)) > 1 / MAX_RATE, float(inside.mean())
 
 
 @dataclass(frozen=True)
@@ -107,10 +124,10 @@ class Part:
         table, _ = self._plain()
         return len(table) > 0 and all(abs(table[role][0]) < 1e-3 for role in ("x", "y", "heading"))
 
-    def read(self, clock: str | None, angle: str | None = None) -> list[ImportedColumn]:
+    def read(self, clock: OdometryStamps | None, angle: str | None = None) -> list[ImportedColumn]:
         """Read the table in SI units.
 
-        `clock` and `angle` are the units of stamps and bearings where the file specifies none.
+        `clock` is that of the odometry, `angle` the unit of bearings where the file specifies none.
         """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
         # Sigmas last: without a unit they have that of their bearings.
@@ -127,7 +144,7 @@ class Part:
                     units[role] = _unit(table, column, clock, angle)
                 unit, _ = units[role]
                 values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
-        remarks = {INCOMPLETE.format(self.kind): missing} if missing else {}
+        remarks = self.sheet.remarks | ({INCOMPLETE.format(self.kind): missing} if missing else {})
         columns = dict(self.columns)
         ordered = dataclasses.replace(table, columns=values)
         if self.source:
@@ -184,7 +201,9 @@ class Part:
         return long(self.sheet.values(wide | t), list(self.wide))
 
 
-def _unit(table: Table, column: Column, clock: str | None, angle: str | None) -> tuple[str, str]:
+def _unit(
+    table: Table, column: Column, clock: OdometryStamps | None, angle: str | None
+) -> tuple[str, str]:
     """Return the unit of a column and its source; `InputError` where a guess would be unsafe."""
     values = np.abs(table[column.role][np.isfinite(table[column.role])])
     largest = float(values.max(initial=0.0))
@@ -200,10 +219,12 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
         )
     if column.quantity == "time":
         # Two programs may write the stamps of one clock in different units.
-        own = _unix_unit(table["t"])
-        return (
-            (clock, "as odometry") if clock and not own else (own or _clock(table["t"]), "guessed")
-        )
+        own = _unix_unit(t := table["t"])
+        if own is None and clock is not None and t.size:
+            scales, guess = UNITS["time"], _clock(t)
+            if clock.has(t * scales[clock.unit]) >= clock.has(t * scales[guess]):
+                return clock.unit, "as odometry"
+        return own or _clock(t), "guessed"
     if column.role == "sigma" and angle:
         return angle, "as bearing"
     if column.quantity in ("wheel", "wheel speed"):

@@ -104,15 +104,21 @@ def _point(name: str, axis: str) -> str:
     return before + after
 
 
+def points_in(names: Sequence[str]) -> dict[str, list[str]]:
+    """Return the names of the coordinates of each point, by its name without an axis."""
+    points: dict[str, list[str]] = {}
+    for name in names:
+        for axis in (axis for axis in AXIS_ROLES if matches(name, axis)):
+            points.setdefault(_point(name, axis), []).append(name)
+    return points
+
+
 def _of_point(names: Sequence[str]) -> Sequence[str]:
     """Return names without coordinates of other points, if a single point has all three.
 
     Detectors of tags write the pixels of a tag's centre along with its position in space.
     """
-    points: dict[str, list[str]] = {}
-    for name in names:
-        for axis in (axis for axis in AXIS_ROLES if matches(name, axis)):
-            points.setdefault(_point(name, axis), []).append(name)
+    points = points_in(names)
     whole = [point for point in points.values() if len(point) == len(AXIS_ROLES)]
     others = {name for point in points.values() if len(point) < len(AXIS_ROLES) for name in point}
     return [name for name in names if name not in others] if len(whole) == 1 else names

@@ -32,7 +32,7 @@ from homeward.drives.folder import (
 from homeward.drives.home.when import with_home
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
-from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part
+from homeward.drives.importers.parts import UNIX_S, ImportedColumn, OdometryStamps, Part
 from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import (
@@ -181,7 +181,7 @@ def _understood(
     if tag_size is not None:
         _set_tag_size(parts, tag_size)
     found: list[ImportedColumn] = []
-    clock: str | None = None
+    clock: OdometryStamps | None = None
     angle: str | None = None
     # Odometry first: from its rate, the unit of stamps can be guessed. Bearings before home: they
     # are more, so one of them probably exceeds 2 pi if they are in degrees.
@@ -197,7 +197,8 @@ def _understood(
             others = [p for p in parts if p.sheet is part.sheet and p.kind != "tilt"]
             part.is_alone = len(others) == 1
             found += part.read(clock, angle)
-            clock = clock or next((u.unit for u in found if u.column.role == "t"), None)
+            timed = next((u for u in found if u.column.role == "t" and len(u.table)), None)
+            clock = clock or (OdometryStamps(timed.unit, timed.table["t"]) if timed else None)
             if kind == "bearings":
                 seen = next(u for u in found if u.column.role == "bearing")
                 angle = None if seen.column.unit else seen.unit

@@ -33,6 +33,7 @@ from homeward.drives.importers.pixels import (
 )
 from homeward.drives.importers.positions import (
     POSITION_ROLES,
+    points_in,
     position_columns,
     with_axes,
 )
@@ -58,6 +59,8 @@ RECOGNISED = {
     "ground truth": "time, x, y, heading",
 }
 """Descriptions of the tables of a drive and their columns; `KINDS` has the roles."""
+MIN_POINTS = 3
+"""Minimum number of positions in a row that are those of several landmarks."""
 MAX_SHOWN = 12
 """Maximum number of columns in an error message."""
 TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
@@ -292,6 +295,13 @@ def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> Inp
 
 def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
     """Return the advice for the kind of table that lacks the fewest roles."""
+    if one.lists or len([p for p in points_in(one.names).values() if len(p) > 1]) >= MIN_POINTS:
+        what = (
+            f"values in the lists of {' and '.join(map(repr, one.lists))}"
+            if one.lists
+            else "positions"
+        )
+        return f"write a row for each of the {what}, with the time and the id of the landmark"
     kinds = {kind: roles for kind, roles in KINDS.items() if kind != "gyro"}
     found = {kind: recognised(roles, one.names, mine) for kind, roles in kinds.items()}
     boxes = box_columns(one.names)

@@ -9,7 +9,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -82,7 +82,7 @@ FORMATS = (
         "the output of `ros2 topic echo`",
         "use `ros2 topic echo --csv`, or record a bag",
     ),
-    ((b'{"', b"[{", b"[["), "JSON", EXPORT),
+    ((b'{"', b"[{", b"[["), "JSON", "export it as CSV, as with pandas.read_json(...).to_csv(...)"),
 )
 """First bytes, also without white space; description and advice."""
 
@@ -125,12 +125,28 @@ def _joint_states(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
     return *STAMP, *[""] * len(joints), *(f"{joint}.{kind}" for kind in kinds for joint in joints)
 
 
-EMPTY = ("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "?")
+EMPTY = (
+    *("", "-", "--", "?", "na", "n/a", "nan", "-nan", "null", "none", "<na>", "<null>"),
+    *(
+        "#n/a",
+        "#num!",
+        "#div/0!",
+        "#value!",
+        "#ref!",
+        "nan(ind)",
+        "-nan(ind)",
+        "1.#qnan",
+        "-1.#ind",
+    ),
+)
 """Notations of a missing value."""
 THOUSANDS = re.compile(r"-?[1-9]\d{0,2}(\.\d{3})+")
-DATE = re.compile(r"\s*(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ T]\d\d:\d\d")
-GERMAN = re.compile(r"(\d\d)\.(\d\d)\.(\d{4})")
-"""Day, month and year."""
+DATE = re.compile(
+    r"\s*(\d{4}[-/]\d\d[-/]\d\d|\d\d[./]\d\d[./]\d{4})[ T]\d\d:\d\d|\s*\d\d:\d\d:\d\d([.,]\d+)?\s*$"
+)
+"""A date with a time of day, or a time of day."""
+DAY = re.compile(r"(\d\d)([./])(\d\d)\2(\d{4})")
+"""Day, month and year; between slashes, the month may be first."""
 
 _WHOLE, _ID = re.compile(r"^(\d+)\.0+$"), re.compile(r"\s*\d+\s*")
 MIN_IDS = 3
@@ -200,9 +216,18 @@ def _decimal(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -
 
 def _unix(cell: str, name: str, row: int, path: Path) -> str:
     """Return a date and time of day as Unix time [s]; UTC without a time zone."""
+    text = cell.strip().replace(",", ".")
+    if day := DAY.match(text):
+        d, mark, m, year = day.groups()
+        if mark == "/" and max(d, m) <= "12" and d != m:
+            problem = f"{quoted(cell)} may have the day or the month first"
+            raise InputError(problem, path, row, part=name, advice="write 2026-11-23")
+        d, m = (m, d) if mark == "/" and m > "12" else (d, m)
+        text = f"{year}-{m}-{d}{text[day.end() :]}"
     try:
-        iso = GERMAN.sub(r"\3-\2-\1", cell.strip().replace(",", "."))
-        time = datetime.fromisoformat(iso)
+        time = datetime.fromisoformat(
+            f"1970-01-01 {text}" if text[2:3] == ":" else text.replace("/", "-")
+        )
     except ValueError as error:
         problem = f"must be a number or a time like 2026-11-23 12:00:00.5, not {quoted(cell)}"
         raise InputError(problem, path, row, part=name) from error
@@ -212,6 +237,8 @@ def _unix(cell: str, name: str, row: int, path: Path) -> str:
 DELIMITERS = ("\t", ";", "|", ",", " ")
 """In this order: where semicolons separate fields, commas are decimal commas."""
 COMMENTS = ("#", "%")
+_SEPARATOR = re.compile(r"\"?sep=.\"?\s*$")
+"""First line that some programs write for spreadsheets."""
 MAX_COLUMNS = 10_000
 """Maximum number of columns: the widest tables have a column for each landmark."""
 NUM_SAMPLED = 50
@@ -229,6 +256,10 @@ class Sheet:
     """Whether there is a single row below the header."""
     headless: bool = False
     """Whether there is no header, so that columns have numbers."""
+    lists: tuple[str, ...] = ()
+    """Columns with lists of different lengths in their cells."""
+    remarks: dict[str, int] = field(default_factory=dict, compare=False)
+    """Numbers of rows that are left out, by description, once it is read."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -256,7 +287,7 @@ class Sheet:
         }
         days = [column for column in columns.values() if column.join == "day"]
         parsers |= {name: _texts for day in days for name in (day.name, *day.more)}
-        raw = read_csv(self.path, parsers, form=self.form)
+        raw = read_csv(self.path, parsers, form=self.form, remarks=self.remarks)
         for day in days:
             texts = [" ".join(cells) for cells in zip(raw[day.name], raw[day.more[0]], strict=True)]
             t = kinds["time"](day.signed_name, texts, raw.row.tolist(), self.path)
@@ -276,7 +307,7 @@ def sheet(path: Path) -> Sheet:
     encoding = _encoding(path)
     with text_lines(path, encoding) as lines:
         first = list(itertools.islice(lines, NUM_SAMPLED))
-    filled = [line for line in first if line.strip()]
+    filled = [line for line in first if line.strip() and not _SEPARATOR.match(line)]
     before = list(itertools.takewhile(lambda line: line.lstrip().startswith(COMMENTS), filled))
     rows = filled[len(before) :]
     if not rows:
@@ -309,7 +340,14 @@ def sheet(path: Path) -> Sheet:
     if not body:
         raise InputError("a header without rows", path)
     names = [*names, *[""] * (width - len(names))]
+    if "" in names and all(len(row) == width and DATE.match(row[names.index("")]) for row in body):
+        names[names.index("")] = "time"  # an index of times, as pandas writes it
     arrays = _arrays(body, width)
+    lists = tuple(
+        name
+        for k, (name, size) in enumerate(zip(names, arrays, strict=False))
+        if not size and any(len(array_in(row[k])) > 1 for row in body if len(row) == width)
+    )
     if any(arrays):
         body = [with_values(row, arrays) for row in body]
         names = [part for name, n in zip(names, arrays, strict=True) for part in _parts(name, n)]
@@ -317,7 +355,7 @@ def sheet(path: Path) -> Sheet:
     comma = delimiter != "," and any("," in cell and is_number(cell, True) for cell in cells)
     sizes = arrays if any(arrays) else ()
     form = Form(delimiter, tuple(name.strip() for name in names), skip, encoding, sizes)
-    return Sheet(path, form, comma, len(body) == 1, numbered and len(above) != len(head))
+    return Sheet(path, form, comma, len(body) == 1, numbered and len(above) != len(head), lists)
 
 
 def _arrays(body: Sequence[Sequence[str]], width: int) -> tuple[int, ...]:
@@ -346,6 +384,8 @@ def _encoding(path: Path) -> str:
         begin = stream.read(2**16)
     if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
+    if begin[1:2] == b"\0" and not any(begin[1:64:2]):
+        return "utf-16-le"
     _refuse_other_formats(begin, path)
     try:
         codecs.getincrementaldecoder("utf-8")().decode(begin)

@@ -16,7 +16,7 @@ MIN_JUMPS, JUMP_QUANTILE = 20, 0.9
 exceed this quantile of the other changes."""
 MIN_NUMBERED = 3
 """Number of columns that may be those of landmarks, of which a pose needs as many."""
-BEARING_WORDS = frozenset(ROLES["bearing"][1].split())
+BEARING_WORDS = frozenset(f"{word}{s}" for word in ROLES["bearing"][1].split() for s in ("", "s"))
 
 
 def landmark_columns(names: Sequence[str], ids: Collection[str]) -> dict[str, str]:
@@ -69,7 +69,9 @@ def landmark_in(name: str) -> tuple[str, bool]:
     words = words_in(plain)
     has = [word for word in words if word in BEARING_WORDS]
     for word in has:
-        plain = re.sub(rf"[_\s.]*{word}[_\s.]*", "", plain, count=1, flags=re.IGNORECASE)
+        plain = re.sub(rf"[_\s./]*{word}[_\s./]*", "", plain, count=1, flags=re.IGNORECASE)
+    if plain.startswith("/"):  # as PlotJuggler writes the fields of a topic
+        plain = plain.rpartition("/")[2]
     return plain, bool(has)
 
 

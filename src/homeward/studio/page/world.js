@@ -16,6 +16,7 @@ export class World {
     this.robot = handle(view, "robot", move("robot"), (g) => make("path", {d: KITE, class: "robot"}, g));
     this.nose = this.knob("heading of the robot", "robot", () => this.robot);
     this.door = this.knob("heading of home", "home", () => this.home);
+    for (const thing of [this.robot, this.nose]) thing.g.setAttribute("display", "none"); // until its first pose
     view.fitted = () => this.refit();
   }
 
@@ -105,6 +106,7 @@ export class World {
 
   /** Draw the robot at its pose. */
   drive([x, y, heading]) {
+    for (const thing of [this.robot, this.nose]) thing.g.removeAttribute("display");
     if (!this.robot.held && !this.nose.held) {
       this.robot.place(x, y, heading);
       this.ahead(this.nose, this.robot, heading);
