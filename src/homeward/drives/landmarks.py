@@ -52,7 +52,6 @@ class KnownLandmarks(Strict):
     """Surveyed landmarks by id."""
     distances: tuple[KnownDistance, ...] = ()
     """Distances of pairs."""
-    _joint: np.ndarray | None = None
 
     @classmethod
     def remembered(
@@ -60,7 +59,7 @@ class KnownLandmarks(Strict):
     ) -> KnownLandmarks:
         """Return landmarks in the home frame, with the covariance of x, y, x, y, ... [m^2]."""
         known = cls(frame="home", landmarks=landmarks)
-        known._joint = covariance
+        vars(known)["_joint"] = covariance  # no key of the file
         return known
 
     @property
@@ -71,8 +70,9 @@ class KnownLandmarks(Strict):
     @property
     def joint_covariance(self) -> np.ndarray:
         """(2 k, 2 k): covariance of the coordinates of the landmarks, in order [m^2]."""
-        if self._joint is not None:
-            return self._joint
+        if self.is_place:
+            joint: np.ndarray = vars(self)["_joint"]
+            return joint
         sigmas = [s.sigma or self.sigma for s in self.landmarks.values()]
         return np.diag(np.repeat(np.square(sigmas), 2))
 
@@ -117,7 +117,7 @@ class KnownLandmarks(Strict):
     @property
     def is_place(self) -> bool:
         """Whether they are of a place, and not of a file."""
-        return self._joint is not None
+        return "_joint" in vars(self)
 
     @property
     def is_given(self) -> bool:

@@ -163,54 +163,36 @@ def of_wheels(
 ) -> Odometry:
     """Return the odometry of wheel speeds (n, k) [m/s]; implausible motion is unknown.
 
-    The k `names` are those of `FOUR`, `OMNI`, or any number of `PAIR`, whose means count.
+    The k `names` are those of `FOUR` (positive forward), `OMNI` (positive where they turn the robot
+    anti-clockwise), or any number of `PAIR`, whose means count.
+    """
+    if set(names) <= set(PAIR):
+        sides = [speeds[:, [n == side for n in names]].mean(axis=1) for side in PAIR]
+        speeds, names = np.stack(sides, axis=1), PAIR
+    # Wheels are symmetric to the centre, so that these columns are orthogonal.
+    twist = ((speeds * by).sum(axis=1) / (by @ by or 1.0) for by in _rolling(names, wheels))
+    v, vy, omega = twist
+    return without_implausible(Odometry(t, v, omega, vy), remarks)
+
+
+def _rolling(names: Sequence[str], wheels: Wheels) -> np.ndarray:
+    """Return the speeds of k wheels, (3, k), for a unit of v, vy and omega.
+
+    Rollers of a mecanum drive form an X seen from above; omni wheels are at equal angles on a
+    circle, in anti-clockwise order.
     """
     if names[0] in OMNI:
-        return omni(t, speeds, wheels, remarks)
-    if set(names) == set(FOUR):
-        return mecanum(t, speeds[:, [names.index(name) for name in FOUR]], wheels, remarks)
-    left, right = (speeds[:, [n == side for n in names]].mean(axis=1) for side in PAIR)
-    return differential(t, left, right, wheels, remarks)
-
-
-def differential(
-    t: np.ndarray, left: np.ndarray, right: np.ndarray, wheels: Wheels, remarks: dict[str, int]
-) -> Odometry:
-    """Return the odometry of left and right wheel speeds (n,) [m/s]; implausible motion is unknown.
-
-    Requires `wheels.track_width`.
-    """
-    omega = (right - left) / (wheels.track_width or math.nan)
-    return without_implausible(Odometry(t, (left + right) / 2, omega), remarks)
-
-
-def mecanum(t: np.ndarray, speeds: np.ndarray, wheels: Wheels, remarks: dict[str, int]) -> Odometry:
-    """Return the odometry of a mecanum drive, whose rollers form an X seen from above.
-
-    `speeds` (n, 4) [m/s] are those of the front left, front right, rear left and rear right wheel,
-    positive forward. Requires `wheels.track_width` and `wheels.wheelbase`.
-    """
-    front_left, front_right, rear_left, rear_right = speeds.T / 4
-    slope = math.tan(wheels.roller_angle or math.pi / 4)
-    lever = ((wheels.track_width or math.nan) + (wheels.wheelbase or math.nan) / slope) / 2
-    v = front_left + front_right + rear_left + rear_right
-    omega = (front_right + rear_right - front_left - rear_left) / lever
-    vy = slope * (front_right + rear_left - front_left - rear_right)
-    return without_implausible(Odometry(t, v, omega, vy), remarks)
-
-
-def omni(t: np.ndarray, speeds: np.ndarray, wheels: Wheels, remarks: dict[str, int]) -> Odometry:
-    """Return the odometry of three or four omni wheels at equal angles on a circle.
-
-    `speeds` (n, k) [m/s] are in anti-clockwise order of the wheels, seen from above, and positive
-    where they turn the robot anti-clockwise. Requires `wheels.omni_radius`.
-    """
-    count = speeds.shape[1]
-    first = math.pi / count if wheels.omni_angle is None else wheels.omni_angle
-    angle = first + math.tau * np.arange(count) / count
-    v, vy = (2.0 / count * speeds @ by for by in (-np.sin(angle), np.cos(angle)))
-    omega = speeds.mean(axis=1) / (wheels.omni_radius or math.nan)
-    return without_implausible(Odometry(t, v, omega, vy), remarks)
+        first = math.pi / len(names) if wheels.omni_angle is None else wheels.omni_angle
+        angle = first + math.tau * np.arange(len(names)) / len(names)
+        radius = np.full(len(names), wheels.omni_radius or math.nan)
+        return np.stack([-np.sin(angle), np.cos(angle), radius])
+    side = np.array([1.0 if "right" in name else -1.0 for name in names])
+    axle = np.array([-1.0 if "rear" in name else 1.0 for name in names])
+    slope, lever = math.tan(wheels.roller_angle or math.pi / 4), wheels.track_width or math.nan
+    sideways = 0.0
+    if len(names) == len(FOUR):
+        sideways, lever = 1.0 / slope, lever + (wheels.wheelbase or math.nan) / slope
+    return np.stack([np.ones(len(names)), sideways * side * axle, lever / 2 * side])
 
 
 def swerve(

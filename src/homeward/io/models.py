@@ -57,7 +57,6 @@ class Strict:
     """The fields by name."""
     model_fields_set: set[str]
     """Names of the fields that were given."""
-    _private: ClassVar[dict[str, Any]] = {}
     _validators: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, **values: Any) -> None:
@@ -68,7 +67,6 @@ class Strict:
         super().__init_subclass__(**options)
         bases = [base for base in reversed(cls.__mro__[1:]) if issubclass(base, Strict)]
         cls.model_fields = {n: field for base in bases for n, field in base.model_fields.items()}
-        cls._private = {n: default for base in bases for n, default in base._private.items()}
         frame = sys._getframe(1)
         names = {**vars(sys.modules[cls.__module__]), **frame.f_locals}
         for name, words in inspect.get_annotations(cls).items():
@@ -78,9 +76,6 @@ class Strict:
             given = cls.__dict__.get(name, REQUIRED)
             if name in cls.__dict__:
                 delattr(cls, name)
-            if name.startswith("_"):
-                cls._private[name] = given
-                continue
             field = given if isinstance(given, FieldInfo) else FieldInfo(given)
             field.kind = annotated(kind, field)
             cls.model_fields[name] = field
@@ -145,7 +140,7 @@ class Strict:
     @classmethod
     def _of(cls, values: dict[str, Any], given: set[str]) -> Self:
         model = object.__new__(cls)
-        model.__dict__.update(values, model_fields_set=given, **cls._private)
+        model.__dict__.update(values, model_fields_set=given)
         return model
 
     @classmethod
@@ -155,10 +150,7 @@ class Strict:
     def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self:
         """Return a copy with other values, which are not checked."""
         update = update or {}
-        values = {name: self.__dict__[name] for name in type(self).model_fields} | dict(update)
-        model = self._of(values, self.model_fields_set | set(update))
-        model.__dict__.update({name: self.__dict__[name] for name in self._private})
-        return model
+        return self._of(vars(self) | dict(update), self.model_fields_set | set(update))
 
     def model_dump(
         self,
@@ -194,9 +186,7 @@ class Strict:
         return ((name, getattr(self, name)) for name in type(self).model_fields)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name not in self._private:
-            raise AttributeError(f"{type(self).__name__} cannot be changed; use model_copy")
-        super().__setattr__(name, value)
+        raise AttributeError(f"{type(self).__name__} cannot be changed; use model_copy")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Strict) and type(self) is type(other) and list(self) == list(other)
