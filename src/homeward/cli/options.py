@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypedDict, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypedDict, Unpack
 
 import typer
 
@@ -202,16 +202,18 @@ def key_values(changes: list[str]) -> dict[str, Any]:
     return chosen
 
 
-def three_numbers(text: str, what: str) -> tuple[float, float, float]:
-    """Parse three finite numbers separated by commas; `what` names the option in errors."""
-    a, b, c = _numbers(text, what, "three")
-    return a, b, c
-
-
-def two_numbers(text: str, what: str) -> tuple[float, float]:
-    """Parse two finite numbers separated by a comma; `what` names the option in errors."""
-    a, b = _numbers(text, what, "two")
-    return a, b
+def numbers(text: str, what: str, count: int) -> tuple[float, ...]:
+    """Parse `count` finite numbers separated by commas; `what` names the option in errors."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        number = {2: "two", 3: "three"}[count]
+        raise InputError(f"{what} must be {number} numbers separated by commas, not {text!r}")
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"{what} must be finite, not {text!r}")
+    return values
 
 
 class HomeChoice(TypedDict, total=False):
@@ -239,7 +241,7 @@ def home_choice(text: str | None) -> HomeChoice:
             raise InputError(f"--home {text}: must be at:T [s]") from None
     if kind not in ("during", "spin"):
         raise InputError(f"--home {text}: must be {HOME_FORMS}")
-    begin, end = two_numbers(value, f"--home {kind}:")
+    begin, end = numbers(value, f"--home {kind}:", 2)
     if not 0.0 <= begin < end:
         raise InputError(f"--home {text}: must be FROM,TO [s] with 0 <= FROM < TO")
     return {"home_during": (begin, end)} if kind == "during" else {"home_spin": (begin, end)}
@@ -261,18 +263,6 @@ def seconds(text: str) -> float:
     if not 0.0 < value < math.inf:
         raise InputError(f"--smooth {text}: must be a number of seconds above 0, or nothing")
     return value
-
-
-def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) != {"two": 2, "three": 3}[number]:
-        raise InputError(f"{what} must be {number} numbers separated by commas, not {text!r}")
-    if not all(map(math.isfinite, values)):
-        raise InputError(f"{what} must be finite, not {text!r}")
-    return values
 
 
 def read_drive(source: str, topics: Path | None, **home: Unpack[HomeChoice]) -> Drive:

@@ -205,7 +205,7 @@ def _mrclam(
             "import mrclam needs one FOLDER, --robot N, --home X,Y,HEADING [m, m, rad] in the "
             "frame of its survey, and --out DRIVE"
         )
-    place, (noise_deg, seed) = Pose(*shared.three_numbers(home, "--home")), noise
+    place, (noise_deg, seed) = Pose(*shared.numbers(home, "--home", 3)), noise
     drive = read_mrclam(folders[0], robot, place, math.radians(noise_deg), seed)
     save_drive(drive, out, commented=True)
     following = command("run", out)

@@ -141,8 +141,8 @@ def home_options(chosen: shared.HomeChoice) -> dict[str, Any]:
     return dict(chosen)
 
 
-def _start(text: str | None) -> str | tuple[float, float, float] | None:
-    return text if text in (None, "truth") else shared.three_numbers(text, "--start")
+def _start(text: str | None) -> str | tuple[float, ...] | None:
+    return text if text in (None, "truth") else shared.numbers(text, "--start", 3)
 
 
 def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:

@@ -11,10 +11,10 @@ from homeward.cli.options import (
     AsJson,
     Topics,
     no_answer,
+    numbers,
     progress,
     read_drive,
     show,
-    two_numbers,
 )
 from homeward.errors import InputError, naming_file
 
@@ -142,9 +142,9 @@ def _start(source: str, start: str, json: bool) -> None:
     from homeward.lab.planning.settings import load_plan
     from homeward.lab.report.plan import start_summary
 
-    place, settings = two_numbers(start, "--from"), load_plan(source)
+    (x, y), settings = numbers(start, "--from", 2), load_plan(source)
     with naming_file(Path(source)):
-        view = analyse_start(settings, place)
+        view = analyse_start(settings, (x, y))
     facts = {
         "summary": start_summary(view),
         "begins": view.begins,

@@ -92,29 +92,21 @@ def decode(kind: str, data: bytes) -> Any:
     return _DECODERS[kind](data)
 
 
-def _chassis_speeds(data: bytes) -> Any:
-    vx, vy, omega = struct.unpack("<3d", data)
+def _chassis_speeds(vx: float, vy: float, omega: float) -> Any:
     return SimpleNamespace(linear=SimpleNamespace(x=vx, y=vy), angular=SimpleNamespace(z=omega))
+
+
+def _pose(x: float, y: float, heading: float) -> Any:
+    return SimpleNamespace(x=x, y=y, heading=heading)
+
+
+def _robot_on_field(x: float, y: float, degrees: float) -> Any:
+    return _pose(x, y, math.radians(degrees))
 
 
 def _module_states(data: bytes) -> Any:
     speeds, angles = zip(*struct.iter_unpack("<2d", data), strict=True)
     return SimpleNamespace(speeds=speeds, angles=angles)
-
-
-def _pose(data: bytes) -> Any:
-    x, y, heading = struct.unpack("<3d", data)
-    return SimpleNamespace(x=x, y=y, heading=heading)
-
-
-def _robot_on_field(data: bytes) -> Any:
-    pose = _pose(data)
-    pose.heading = math.radians(pose.heading)
-    return pose
-
-
-def _photon_result(data: bytes) -> Any:
-    return SimpleNamespace(tags=list(_photon_tags(data)))
 
 
 def _photon_tags(data: bytes) -> Iterator[Any]:
@@ -134,10 +126,10 @@ def _photon_tags(data: bytes) -> Iterator[Any]:
         raise ValueError(f"{len(data)} bytes instead of {at}: another version of PhotonVision")
 
 
-def _raw_fiducials(data: bytes) -> Any:
-    rows = struct.iter_unpack("<7d", data)
-    tags = [_tag(number, *_seen(right, up, far)) for number, right, up, _, far, *_ in rows]
-    return SimpleNamespace(tags=tags)
+def _raw_fiducials(data: bytes) -> Iterator[Any]:
+    """Yield each tag."""
+    for number, right, up, _, far, *_ in struct.iter_unpack("<7d", data):
+        yield _tag(number, *_seen(right, up, far))
 
 
 def _tag(number: float, x: float, y: float, z: float) -> Any:
@@ -155,12 +147,12 @@ def _seen(right_deg: float, up_deg: float, distance: float) -> tuple[float, floa
 
 
 _DECODERS: dict[str, Callable[[bytes], Any]] = {
-    CHASSIS_SPEEDS: _chassis_speeds,
+    CHASSIS_SPEEDS: lambda data: _chassis_speeds(*struct.unpack("<3d", data)),
     MODULE_STATES: _module_states,
-    POSE2D: _pose,
-    ROBOT_ON_FIELD: _robot_on_field,
-    PHOTON_RESULT: _photon_result,
-    RAW_FIDUCIALS: _raw_fiducials,
+    POSE2D: lambda data: _pose(*struct.unpack("<3d", data)),
+    ROBOT_ON_FIELD: lambda data: _robot_on_field(*struct.unpack("<3d", data)),
+    PHOTON_RESULT: lambda data: SimpleNamespace(tags=list(_photon_tags(data))),
+    RAW_FIDUCIALS: lambda data: SimpleNamespace(tags=list(_raw_fiducials(data))),
 }
 
 
