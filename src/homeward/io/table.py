@@ -150,14 +150,16 @@ class _Lines:
 
     def _without_headers(self, lines: Iterable[str], num_header: int) -> Iterator[str]:
         """Yield the lines, with a blank one for each that repeats one of the header."""
-        header = set[str]()
+        header, has_rows = set[str](), False
         for k, line in enumerate(lines):
             text = line.rstrip("\r\n")
             self.is_cut = text == line
-            self.repeats += text in header
-            yield "\n" if text in header else line
+            is_repeat = has_rows and text in header
+            self.repeats += is_repeat
+            yield "\n" if is_repeat else line
             if k < num_header and any(map(str.isalpha, text)):
                 header.add(text)
+            has_rows |= k >= num_header
 
     def whole(self, records: Records, width: int, path: Path) -> Records:
         """Return the records read last, without one that the end of the file cuts off."""
@@ -430,7 +432,8 @@ def _collect(
         rows = [row for row, _ in chunk]
         for row, fields in chunk:
             if len(fields) != width:
-                problem = f"{len(fields)} fields, but the header has {width}"
+                many = "s" * (len(fields) != 1)
+                problem = f"{len(fields)} field{many}, but the header has {width}"
                 raise InputError(problem, path, row, advice="remove or complete the row")
         cells = list(zip(*(fields for _, fields in chunk), strict=True))
         for name, (index, parse) in parsers.items():
