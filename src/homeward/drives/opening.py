@@ -166,7 +166,7 @@ def kind_of(place: Path) -> str:
         if recognises(place):
             return kind
     if place.is_dir() and next(place.glob("*/place.yaml"), None) is not None:
-        ways = "use homeward place PLACE to inspect it, or homeward run DRIVE --place PLACE"
+        ways = "use homeward place info PLACE to inspect it, or homeward run DRIVE --place PLACE"
         raise InputError("a place, not a drive", place, advice=ways)
     if tables := tables_in(place):
         way = command("import", *tables, "--out", f"out/{place.stem}")

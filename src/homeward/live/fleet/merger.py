@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-from homeward.errors import HomewardError, InputError
+from homeward.errors import HomewardError, InputError, printable
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.reading import naming, opened, read_small
 from homeward.io.settings import parsed
@@ -175,7 +175,8 @@ class Merger:
                             self._manifests[robot] = parsed(VisitManifest, payload)
                     self._news.set()
                 case ["state", robot] if robot != self._broker.user:
-                    self._log(f"{require_topic_name('robot', robot)} is {payload[:20]!r}")
+                    state = printable(payload[:20].decode("utf-8", "replace"))
+                    self._log(f"{require_topic_name('robot', robot)} is {state}")
 
     def _hear(self, other: PlaceManifest) -> None:
         """Compare with the manifest of another merger: the one with the higher epoch stays."""
