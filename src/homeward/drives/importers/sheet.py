@@ -384,7 +384,7 @@ def _encoding(path: Path) -> str:
         begin = stream.read(2**16)
     if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    if begin[1:2] == b"\0" and not any(begin[1:64:2]):
+    if all(begin[:64:2]) and begin[1:2] == b"\0" and not any(begin[1:64:2]):
         return "utf-16-le"
     _refuse_other_formats(begin, path)
     try:
