@@ -246,9 +246,9 @@ def _unit(
         return "deg", "guessed: more than a quarter turn"
     if is_tilt and largest > MAX_TILT:
         raise InputError(
-            f"roll and pitch reach {largest:.3g} and may be in degrees; give their unit, as in "
-            f"--columns '{column.role}={column.name}[deg]'",
+            f"roll and pitch reach {largest:.3g} and may be in degrees",
             table.file,
+            advice=f"give their unit, as in --columns '{column.role}={column.name}[deg]'",
         )
     is_pose = column.role == "heading" and {"x", "y"} <= set(table.columns)
     if is_pose and largest > 1.01 * math.tau:
