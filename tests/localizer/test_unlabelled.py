@@ -346,6 +346,24 @@ def test_a_robot_whose_landmarks_are_met_by_chance_is_lost(seed, pair):
     assert is_lost
 
 
+def test_landmarks_seen_with_their_ids_do_not_count_as_missed():
+    pair = benchmark.open_hall(301, with_ids=8, duration=30.0)
+    localizer, was_lost = Localizer(pair.without.home, **pair.without.settings.robot), []
+
+    def look(estimate):
+        was_lost.append(localizer.unlabelled is not None and localizer.unlabelled.is_lost)
+
+    run(pair.without, localizer, on_estimate=look)
+    assert not any(was_lost)
+
+
+def test_a_landmark_that_returns_as_a_new_track_is_identified_all_the_same():
+    pair = benchmark.open_hall(300, duration=60.0, field=np.pi / 2, reach=7.0)
+    figures = benchmark.compared(pair)
+    assert figures["identified"] > 0.66
+    assert figures["purity"] > 0.95
+
+
 def test_a_camera_of_90_degrees_identifies_landmarks_out_of_view():
     pair = benchmark.open_hall(1, duration=90.0, field=np.pi / 2, reach=7.0)
     figures = benchmark.compared(pair)

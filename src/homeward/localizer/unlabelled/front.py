@@ -24,12 +24,13 @@ from homeward.localizer.tunables import (
     NOT_LIVE,
     REPAIR_S,
     TENTATIVE,
+    TOGETHER,
     TURN_JITTER_S,
 )
 from homeward.localizer.unlabelled.association import PossiblePairs, associate, chosen
 from homeward.localizer.unlabelled.home import HomeFinder, may_be
 from homeward.localizer.unlabelled.lost import Loss
-from homeward.localizer.unlabelled.registry import NAME, Registry
+from homeward.localizer.unlabelled.registry import NAME, Registry, in_order
 from homeward.localizer.unlabelled.repair import Anchors, duplicates
 from homeward.localizer.unlabelled.tracks import BearingTrack, Instant, Tracks
 from homeward.odometry.history import Reckoned, TwistHistory
@@ -177,16 +178,18 @@ class UnlabelledLandmarks:
         """Associate sightings with landmarks.
 
         Return the landmarks by sighting, which sightings (m,) may be of a known landmark without
-        being sure, and to which landmarks (n,) any sighting is close.
+        being sure, and to which landmarks (n,) any sighting is close, or has their id.
         """
         names = forecast.names
         allowed = may_be(seen.keys, names, self.known.kinds)
-        allowed[:, [n in with_id for n in names]] = False
+        has_id = np.array([n in with_id for n in names], bool)
+        allowed[:, has_id] = False
         self._use_hints(seen, forecast, tracks, allowed)
         covariance = forecast.covariance + seen.late**2
         off = wrap(seen.bearings[:, None] - forecast.mean)
         variance = covariance.diagonal() + seen.variances[:, None]
-        rows, columns = np.nonzero((off**2 < ASSOCIATION_GATE**2 * variance) & allowed)
+        is_near = (off**2 < ASSOCIATION_GATE**2 * variance) & allowed
+        rows, columns = np.nonzero(is_near & ~self._are_of_live(is_near, forecast, tracks))
         joint = covariance[np.ix_(columns, columns)]
         joint = joint + np.where(rows[:, None] == rows, seen.variances[rows], 0.0)
         penalty = self._penalties(forecast)[columns]
@@ -205,7 +208,19 @@ class UnlabelledLandmarks:
             guess = associate(chosen(pairs, again), shape, none, 0.0)
             column = np.where(guess.likely >= 0, guess.likely, column)
         hits = {i: names[j] for i, j in enumerate(column.tolist()) if j >= 0}
-        return hits, is_held, np.isin(np.arange(len(names)), columns)
+        return hits, is_held, is_near.any(axis=0) | has_id
+
+    def _are_of_live(self, is_near: np.ndarray, forecast: Forecast, tracks: Tracks) -> np.ndarray:
+        """Return which pairs (m, n) are of a landmark that may be that of a live track nearby.
+
+        Such a landmark is no rival of the live track: if they are one, they are joined later.
+        """
+        names, live = forecast.names, forecast.is_live
+        both = is_near.T @ is_near & ~live & (live & ~forecast.is_tentative)[:, None]
+        for i, j in np.argwhere(both).tolist():
+            together = self.known.together[in_order(names[i], names[j])]
+            both[i, j] = together <= TOGETHER and tracks.are_close(i, j)
+        return np.asarray(is_near & (is_near @ both))
 
     def _penalties(self, forecast: Forecast) -> np.ndarray:
         """Return twice the negative log probabilities to see landmarks, (n,).

@@ -63,10 +63,14 @@ class Anchors:
         self._anchored: set[str] = set()
         self._recent: deque[tuple[float, str]] = deque()
         """Times and landmarks of the newest sightings; empty for none."""
+        self._is_met = False
+        """Whether enough sightings are anchored in the newest frame of three or more."""
 
     def add_frame(self, t: float, names: Collection[str]) -> None:
         """Add the landmarks of the sightings of a frame at `t` [s], empty for none."""
         self._recent.extend((t, n) for n in names)
+        if len(names) >= MINIMAL:
+            self._is_met = sum(n in self._anchored for n in names) >= ANCHORED * len(names)
         while self._recent and self._recent[0][0] < t - ANCHOR_S:
             self._recent.popleft()
 
@@ -75,7 +79,8 @@ class Anchors:
         """Whether enough of the newest sightings are of anchored landmarks."""
         seen = [n for _, n in self._recent]
         anchored = [n for n in seen if n in self._anchored]
-        return len({*anchored}) >= MINIMAL and len(anchored) >= ANCHORED * len(seen)
+        enough = len({*anchored}) >= MINIMAL and len(anchored) >= ANCHORED * len(seen)
+        return self._is_met and enough
 
     def update(self, chart: Chart, known: Registry, of_home: Collection[str]) -> None:
         """Update the anchored landmarks of a map by those of home."""

@@ -23,6 +23,7 @@ from homeward.localizer.tunables import (
     DUPLICATE_MARGIN,
     DUPLICATE_SIGMAS,
     FALSE_AT_FIRST,
+    INLIER,
     LIVE_S,
     MAX_FALSE,
     MAX_MISSES,
@@ -264,6 +265,14 @@ class Tracks:
             gone.add(i)
         self._keep([i for i in range(len(self.tracks)) if i not in gone])
         return joined
+
+    def are_close(self, i: int, j: int) -> bool:
+        """Return whether two landmarks may be at one place; one that has no track may be."""
+        if max(i, j) >= len(self.tracks):
+            return True
+        difference, covariance = self.map.differences(np.array([i]), np.array([j]))
+        joint = covariance[0, :, 0] + np.diag(DUPLICATE_SIGMAS) ** 2
+        return bool(difference[0] @ np.linalg.solve(joint, difference[0]) < INLIER**2)
 
     def rename(self, new: str, old: str) -> None:
         """Rename the track of the landmark `new`, which turned out to be the landmark `old`."""
