@@ -44,14 +44,8 @@ _SPELT = {
     **{"tick": "ticks", "count": "ticks", "counts": "ticks", "pulses": "ticks", "revs": "rev"},
     **{"mins": "min", "minutes": "min", "ms-1": "m/s", "ms^-1": "m/s", "fps": "ft/s"},
     **{"kt": "kn", "kts": "kn", "knots": "kn", "rads-1": "rad/s", "rads^-1": "rad/s"},
-    **{
-        "grad": "deg",
-        "grad/s": "deg/s",
-        "gons": "gon",
-        "gradians": "gon",
-        "turns": "rev",
-        "revolutions": "rev",
-    },
+    **{"grad": "deg", "grad/s": "deg/s", "gons": "gon", "gradians": "gon"},
+    **{"turns": "rev", "revolutions": "rev"},
     **{"rev/min": "rpm", "feet": "ft", "inches": "inch", "inch/s": "in/s"},
 }
 _BRACKETED = re.compile(r"([\[(<])([^\])>]+)[\])>]\s*$")

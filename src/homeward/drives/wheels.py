@@ -170,8 +170,8 @@ def of_wheels(
         sides = [speeds[:, [n == side for n in names]].mean(axis=1) for side in PAIR]
         speeds, names = np.stack(sides, axis=1), PAIR
     # Wheels are symmetric to the centre, so that these columns are orthogonal.
-    twist = ((speeds * by).sum(axis=1) / (by @ by or 1.0) for by in _rolling(names, wheels))
-    v, vy, omega = twist
+    rolling = _rolling(names, wheels)
+    v, vy, omega = ((speeds * by).sum(axis=1) / (by @ by or 1.0) for by in rolling)
     return without_implausible(Odometry(t, v, omega, vy), remarks)
 
 

@@ -57,7 +57,7 @@ class OdometryStamps:
     t: np.ndarray
     """(n,), sorted [s]."""
 
-    def has(self, t: np.ndarray) -> tuple[bool, float]:
+    def fit(self, t: np.ndarray) -> tuple[bool, float]:
         """Return whether rows at `t` [s] have a rate below `MAX_RATE`, and their share in it."""
         steps = np.diff(np.unique(t))
         inside = (t >= self.t[0]) & (t <= self.t[-1])
@@ -220,11 +220,11 @@ def _unit(
     if column.quantity == "time":
         # Two programs may write the stamps of one clock in different units.
         own = _unix_unit(t := table["t"])
+        guess = own or _clock(t)
         if own is None and clock is not None and t.size:
-            scales, guess = UNITS["time"], _clock(t)
-            if clock.has(t * scales[clock.unit]) >= clock.has(t * scales[guess]):
-                return clock.unit, "as odometry"
-        return own or _clock(t), "guessed"
+            mine, other = (clock.fit(UNITS["time"][u] * t) for u in (clock.unit, guess))
+            return (clock.unit, "as odometry") if mine >= other else (guess, "guessed")
+        return guess, "guessed"
     if column.role == "sigma" and angle:
         return angle, "as bearing"
     if column.quantity in ("wheel", "wheel speed"):

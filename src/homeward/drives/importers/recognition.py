@@ -39,6 +39,7 @@ from homeward.drives.importers.positions import (
 )
 from homeward.drives.importers.sheet import Sheet
 from homeward.drives.importers.wide import (
+    MIN_NUMBERED,
     landmark_columns,
     landmark_in,
     numbered_columns,
@@ -59,8 +60,6 @@ RECOGNISED = {
     "ground truth": "time, x, y, heading",
 }
 """Descriptions of the tables of a drive and their columns; `KINDS` has the roles."""
-MIN_POINTS = 3
-"""Minimum number of positions in a row that are those of several landmarks."""
 MAX_SHOWN = 12
 """Maximum number of columns in an error message."""
 TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
@@ -295,7 +294,7 @@ def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> Inp
 
 def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
     """Return the advice for the kind of table that lacks the fewest roles."""
-    if one.lists or len([p for p in points_in(one.names).values() if len(p) > 1]) >= MIN_POINTS:
+    if one.lists or len([p for p in points_in(one.names).values() if len(p) > 1]) >= MIN_NUMBERED:
         what = (
             f"values in the lists of {' and '.join(map(repr, one.lists))}"
             if one.lists

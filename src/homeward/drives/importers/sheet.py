@@ -127,17 +127,8 @@ def _joint_states(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
 
 EMPTY = (
     *("", "-", "--", "?", "na", "n/a", "nan", "-nan", "null", "none", "<na>", "<null>"),
-    *(
-        "#n/a",
-        "#num!",
-        "#div/0!",
-        "#value!",
-        "#ref!",
-        "nan(ind)",
-        "-nan(ind)",
-        "1.#qnan",
-        "-1.#ind",
-    ),
+    *("#n/a", "#num!", "#div/0!", "#value!", "#ref!"),
+    *("nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind"),
 )
 """Notations of a missing value."""
 THOUSANDS = re.compile(r"-?[1-9]\d{0,2}(\.\d{3})+")

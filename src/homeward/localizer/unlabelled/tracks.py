@@ -241,10 +241,7 @@ class Tracks:
         if not pairs:
             return []
         new, old = np.array(pairs).T
-        difference, covariance = self.map.differences(new, old)
-        q, sigmas = np.arange(len(new)), np.array(DUPLICATE_SIGMAS)
-        for e in range(2):
-            covariance[q, e, q, e] += sigmas[e] ** 2
+        difference, covariance = self._offsets(new, old)
         (news, rows), (olds, columns) = (np.unique(x, return_inverse=True) for x in (new, old))
         penalty = np.full(len(new), NOT_LIVE)
         none = 2.0 * math.log(math.sqrt(math.tau) * 0.5 / self._nearest)
@@ -258,7 +255,7 @@ class Tracks:
             if i in gone or j in gone:
                 continue
             newer, older = self.tracks[i], self.tracks[j]
-            self.map.join(i, j, sigmas)
+            self.map.join(i, j, np.array(DUPLICATE_SIGMAS))
             older.t, older.hits = max(older.t, newer.t), older.hits + newer.hits
             older.hint, older.kind = newer.hint or older.hint, older.kind or newer.kind
             joined.append((newer.name, older.name))
@@ -270,9 +267,17 @@ class Tracks:
         """Return whether two landmarks may be at one place; one that has no track may be."""
         if max(i, j) >= len(self.tracks):
             return True
-        difference, covariance = self.map.differences(np.array([i]), np.array([j]))
-        joint = covariance[0, :, 0] + np.diag(DUPLICATE_SIGMAS) ** 2
-        return bool(difference[0] @ np.linalg.solve(joint, difference[0]) < INLIER**2)
+        difference, covariance = self._offsets(np.array([i]), np.array([j]))
+        square = difference[0] @ np.linalg.solve(covariance[0, :, 0], difference[0])
+        return bool(square < INLIER**2)
+
+    def _offsets(self, new: np.ndarray, old: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return differences of landmarks that may be one; see `differences` of the map."""
+        difference, covariance = self.map.differences(new, old)
+        q = np.arange(len(new))
+        for e, sigma in enumerate(DUPLICATE_SIGMAS):
+            covariance[q, e, q, e] += sigma**2
+        return difference, covariance
 
     def rename(self, new: str, old: str) -> None:
         """Rename the track of the landmark `new`, which turned out to be the landmark `old`."""
