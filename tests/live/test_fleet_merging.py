@@ -214,6 +214,42 @@ def test_a_doubt_supports_a_claim_and_is_none(shared):
     assert found(shared, 5.0) == {}
 
 
+def rays(place, name, moved, number, by):
+    """Sightings of a landmark from the side of its move, with an error `by` [rad] of direction."""
+    there, side = at(place, name) + moved, 3.0 * np.array([-moved[1], moved[0]])
+    way = math.atan2(*(there - side)[::-1])
+    return {name: number * ((*side.tolist(), way + by, 0.01),)}
+
+
+@pytest.mark.parametrize(
+    ("number", "by", "confirmed"),
+    [(1, 0.0, True), (3, 0.02, True), (3, 0.1, False), (6, 0.1, False)],
+)
+def test_a_glimpse_confirms_the_position_where_another_robot_found_a_landmark(
+    shared, number, by, confirmed
+):
+    """Also if it came first, and never a position that it does not fit."""
+    seen = rays(shared.place, "L3", PUSH, number, by)
+    message = visited("v1", room(), 2, ages={"L3": 10.0}).model_copy(update={"rays": seen})
+    shared.add("b", message, 1.0, 1.0)
+    assert found(shared, 1.0) == {}
+    add(shared, "a", pushed(room(), "L3"), 2.0)
+    assert found(shared, 2.0) == {"L3": ("moved", confirmed, ["a", "b"] if confirmed else ["a"])}
+
+
+def test_new_positions_that_differ_do_not_make_the_old_one_right_again(shared):
+    """A position of a robot with little parallax has a large error at first."""
+    for now in (0.0, 5.0):
+        for k, robot in enumerate("abc"):
+            places = pushed(room(), "L3", by=(1 + k) * PUSH)
+            add(shared, robot, places, now + k, seed=k, ages={"L3": 0.0})
+    ((what, confirmed, _),) = found(shared, 7.0).values()
+    assert (what, confirmed) == ("moved", False)
+    assert off(seen_by(shared, "d", 7.0), "L3")[1] > 0.7
+    add(shared, "b", pushed(room(), "L3"), 8.0, seed=3)
+    assert found(shared, 8.0) == {"L3": ("moved", True, ["a", "b"])}
+
+
 def test_a_doubt_confirms_only_the_landmark_of_a_group_that_it_is_about(shared):
     names = "L1", "L2", "L3"
     add(shared, "liar", pushed(room(), *names, by=np.array([1.0, 0.5])), 1.0)

@@ -13,7 +13,7 @@ from test_live_place import LANDMARKS, hall, localised  # noqa: F401
 from visited import room
 
 from homeward.estimator import Estimate, Innovation, Status
-from homeward.geometry.frames import bearing
+from homeward.geometry.frames import Pose, bearing
 from homeward.live.fleet import robot as fleet_robot
 from homeward.live.fleet.changes import with_changes
 from homeward.live.fleet.fits import Fits
@@ -172,15 +172,21 @@ def test_a_tag_that_was_last_seen_before_its_box_moved_is_not_shared(fit, outdat
 
 
 @pytest.mark.parametrize(("wrong", "doubted"), [(1, {"L0"}), (3, set())])
-def test_a_landmark_is_doubted_where_most_others_fit(wrong, doubted):
+def test_sightings_that_do_not_fit_are_kept_where_most_others_fit(wrong, doubted):
     fits = Fits()
     for k in range(12):
         accepted = {f"L{i}": k < 5 or i >= wrong for i in range(5)}
         innovations = tuple(Innovation(n, 0.0, 0.01, fit) for n, fit in accepted.items())
-        estimate = Estimate(0.1 * k, Status.LOCALISED, "", innovations=innovations)
-        assert not fits.doubted or k >= 5 + MIN_SIGHTINGS
+        about = Pose(0.1 * k, 0.0, 0.0), np.eye(3)
+        estimate = Estimate(0.1 * k, Status.LOCALISED, "", *about, innovations=innovations)
         fits.add(BearingsIn(t=0.1 * k, bearings=dict.fromkeys(accepted, 0.0)), estimate)
-    assert fits.doubted == doubted
+        seen = {n: [round(s.pose.x, 1) for s in some] for n, some in fits.rejected.items()}
+        last = [round(0.1 * i, 1) for i in range(max(5, k + 1 - MIN_SIGHTINGS), k + 1)]
+        assert seen == (dict.fromkeys(doubted, last) if k >= 5 else {})
+    fit = (Innovation("L0", 0.0, 0.01, True),)
+    estimate = Estimate(1.2, Status.LOCALISED, "", *about, innovations=fit)
+    fits.add(BearingsIn(t=1.2, bearings={"L0": 0.0}), estimate)
+    assert not fits.rejected
 
 
 @pytest.mark.parametrize("number", [2, 4, 6])

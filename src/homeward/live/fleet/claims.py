@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from homeward.geometry.angles import wrap
 from homeward.geometry.frames import position_sigma
 from homeward.live.fleet.changes import part, placed, spread
-from homeward.live.fleet.messages import Placed
-from homeward.localizer.tunables import INLIER
+from homeward.live.fleet.messages import Placed, VisitMessage
+from homeward.localizer.tunables import INLIER, MIN_SIGHTINGS
 from homeward.places.joint_map import datum
 from homeward.places.place import Place
 from homeward.places.views import Views
@@ -90,6 +91,23 @@ def supports(one: Claim, other: Claim) -> bool:
         return one.what == other.what or {one.what, other.what} == {"gone", "moved"}
     is_near = math.dist(one.at[:2], other.at[:2]) < MAX_APART_M
     return one.what == other.what and is_near and _agree(one.at, other.at)
+
+
+def is_doubt_of(message: VisitMessage, name: str, at: Placed | None) -> bool:
+    """Return whether sightings that do not fit the place of a landmark support a claim.
+
+    Most of them must agree with its position, if it has one, which an outlier does by chance only:
+    for about 6 sigmas of the circle.
+    """
+    rays = message.rays.get(name, ())
+    if at is None or not rays:
+        return name in message.doubted or len(rays) == MIN_SIGHTINGS
+    x, y, directions, sigmas = np.array(rays).T
+    dx, dy = at[0] - x, at[1] - y
+    across = np.column_stack([-dy, dx]) / np.maximum(dx**2 + dy**2, SAME_M**2)[:, None]
+    spreads = np.hypot(sigmas, np.sqrt(np.einsum("ki,ij,kj->k", across, spread(at), across)))
+    off = np.abs(wrap(directions - np.arctan2(dy, dx)))
+    return bool(2 * np.count_nonzero(off <= INLIER * spreads) > len(rays))
 
 
 def _is_certain(at: Placed) -> bool:

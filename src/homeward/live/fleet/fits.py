@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import deque
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from homeward.estimator import Estimate, Status
+from homeward.geometry.frames import Pose
 from homeward.live.messages import BearingsIn
 from homeward.localizer.tunables import MIN_SIGHTINGS
+
+
+class Rejected(NamedTuple):
+    """Sighting that does not agree with the map."""
+
+    pose: Pose
+    """Pose of the robot."""
+    camera: str
+    bearing: float
+    """[rad]"""
+    sigma: float
+    """Standard deviation of the innovation [rad]."""
 
 
 class Fits:
@@ -23,13 +37,9 @@ class Fits:
         """Time of the first sighting since then that disagreed [s], and their number."""
         self._moved: dict[str, float] = {}
         """When each landmark that moved was first seen elsewhere [s]."""
-        self._rejected = Counter[str]()
-        """Number of sightings in a row outside the gate, in frames of which most fitted."""
-
-    @property
-    def doubted(self) -> set[str]:
-        """Landmarks that are not where the map has them, wherever they are now."""
-        return {name for name, number in self._rejected.items() if number >= MIN_SIGHTINGS}
+        self.rejected: dict[str, deque[Rejected]] = {}
+        """Sightings since the last that agreed that were outside the gate, in frames of which most
+        fitted, at most `MIN_SIGHTINGS`."""
 
     def add(self, message: BearingsIn, estimate: Estimate) -> None:
         """Add bearings and the answer to them.
@@ -37,16 +47,20 @@ class Fits:
         A landmark that agrees after `MIN_SIGHTINGS` that disagreed is new in the map, or moved.
         """
         fits = {i.landmark for i in estimate.innovations if i.accepted}
-        rejected = {i.landmark for i in estimate.innovations} - fits
-        if estimate.status is Status.LOCALISED and len(fits) > len(rejected):
-            self._rejected.update(rejected)
-            if any(self._rejected[name] == MIN_SIGHTINGS for name in rejected):
-                self.changed_at = message.t
+        outside = {i.landmark: i.sigma for i in estimate.innovations if i.landmark not in fits}
+        pose = estimate.pose if estimate.status is Status.LOCALISED else None
+        if pose is not None and len(fits) > len(outside):
+            for name in outside.keys() & message.bearings.keys():
+                some = self.rejected.setdefault(name, deque(maxlen=MIN_SIGHTINGS))
+                if len(some) in (1, MIN_SIGHTINGS - 1):  # a single outlier is no news
+                    self.changed_at = message.t
+                about = message.camera, message.bearings[name], outside[name]
+                some.append(Rejected(pose, *about))
         for name in message.bearings.keys() - fits:
             since, number = self._misfits.get(name, (message.t, 0))
             self._misfits[name] = since, number + 1
         for name in fits:
-            self._rejected.pop(name, None)
+            self.rejected.pop(name, None)
             since, number = self._misfits.pop(name, (message.t, 0))
             if number >= MIN_SIGHTINGS:
                 self.changed_at = message.t

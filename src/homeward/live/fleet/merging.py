@@ -24,7 +24,14 @@ from homeward.io.reading import naming, read_small
 from homeward.io.settings import parsed
 from homeward.io.table import quoted
 from homeward.io.writing import remove_abandoned, write_whole
-from homeward.live.fleet.claims import Claim, claims_of, supports, with_visit, without
+from homeward.live.fleet.claims import (
+    Claim,
+    claims_of,
+    is_doubt_of,
+    supports,
+    with_visit,
+    without,
+)
 from homeward.live.fleet.kept_visits import KeptVisits
 from homeward.live.fleet.messages import Change, VisitMessage, visit_of
 from homeward.live.fleet.plausibility import is_plausible, plausible_ages
@@ -185,10 +192,10 @@ class SharedPlace:
 
     def _statements(
         self, name: str
-    ) -> tuple[dict[str, tuple[Claim, float]], dict[str, float], set[str]]:
+    ) -> tuple[dict[str, tuple[Claim, float]], dict[str, float], dict[str, VisitMessage]]:
         """Return claims on a landmark and when others saw it in place [s], by robot, and doubts."""
         claims, in_place = dict[str, tuple[Claim, float]](), dict(self._in_place.get(name, {}))
-        doubting = set[str]()
+        doubting = dict[str, VisitMessage]()
         for (robot, _), visit in self.visits.items():
             if robot in self.ignored or visit.claims is None:
                 continue
@@ -198,14 +205,15 @@ class SharedPlace:
             elif name in visit.seen:
                 claims.pop(robot, None)
                 in_place[robot] = visit.seen[name]
-                (doubting.add if name in visit.message.doubted else doubting.discard)(robot)
-        return claims, in_place, doubting - claims.keys()
+                doubting[robot] = visit.message
+        return claims, in_place, {r: m for r, m in doubting.items() if r not in claims}
 
     def _decide(self, name: str, now: float) -> Change | None:
         """Return the change of a landmark by all claims; None if there is none, or it is refuted.
 
         Of claims that differ, the one of most robots counts, else the one of the last sighting.
         A doubt is no claim, but supports that of another robot that the landmark left its place.
+        Claims of other new positions do not support the place: they only leave it suspected.
         """
         claims, in_place, doubting = self._statements(name)
         agreeing = {
@@ -221,12 +229,13 @@ class SharedPlace:
             return None
         claim, by = claims[best][0], agreeing[best]
         since, last = min(claims[r][0].since for r in by), max(claims[r][1] for r in by)
-        if claim.what in ("moved", "gone"):
-            by = [*by, *sorted(doubting)]
+        if leaves := claim.what in ("moved", "gone"):
+            by += sorted(r for r, m in doubting.items() if is_doubt_of(m, name, claim.at))
         opposed = in_place | {r: t for r, (c, t) in claims.items() if c.at}
         opposed = {r: t for r, t in opposed.items() if r not in by}
-        against = [t for t in opposed.values() if t > since]
-        if len(against) > len(by) or (len(by) < 2 and max(against, default=-math.inf) > last):
+        against = {r: t for r, t in opposed.items() if t > since}
+        refuting = [t for r, t in against.items() if not (leaves and r in claims)]
+        if len(refuting) > len(by) or (len(by) < 2 and max(refuting, default=-math.inf) > last):
             return None
         if len(by) > 1:
             confirmed = len(by) > len(against)

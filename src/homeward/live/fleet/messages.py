@@ -9,11 +9,12 @@ from __future__ import annotations
 import base64
 import math
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import astuple
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -26,7 +27,17 @@ from homeward.io.checks import AfterValidator, Field
 from homeward.io.models import Strict
 from homeward.io.settings import parsed
 from homeward.io.table import quoted
-from homeward.live.messages import MAX_LENGTH, Bearings, Bounded, Id, Name, Sigmas, line_of
+from homeward.live.messages import (
+    MAX_LENGTH,
+    Bearings,
+    Bounded,
+    Id,
+    Name,
+    Sigma,
+    Sigmas,
+    line_of,
+)
+from homeward.localizer.tunables import MIN_SIGHTINGS
 from homeward.places.joint_map import JointMap
 from homeward.places.place import Place, StoredHome
 from homeward.places.route import Node, Route
@@ -58,6 +69,10 @@ Distance = Annotated[float, Field(ge=0, le=MAX_LENGTH)]
 View = tuple[Annotated[int, Field(ge=0, lt=SECTORS)], Distance, Distance]
 """Sector of a landmark, minimum distance with it in the field of view, and maximum distance from
 which it was seen [m]."""
+
+
+Ray = tuple[Bounded, Bounded, Bounded, Sigma]
+"""Sighting: x, y [m] of the camera in the place, direction [rad], standard deviation [rad]."""
 
 
 class MapData(Strict):
@@ -106,7 +121,9 @@ class VisitMessage(Strict):
     ages: dict[Id, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """Time since each landmark was last seen where `map` has it [s]."""
     doubted: Annotated[tuple[Id, ...], Field(max_length=MAX_LANDMARKS)] = ()
-    """Landmarks that are not where they were mapped, and not mapped elsewhere yet."""
+    """Landmarks that are not where they were mapped, in visits of before `rays` were sent."""
+    rays: dict[Id, Annotated[tuple[Ray, ...], Field(max_length=MIN_SIGHTINGS)]] = {}
+    """Last sightings of landmarks that are not where they were mapped, nor mapped elsewhere."""
     homes: Annotated[dict[Name, HomeData], Field(max_length=MAX_HOMES)] = {}
     routes: Annotated[dict[Name, RouteData], Field(max_length=MAX_HOMES)] = {}
     together: tuple[tuple[Id, ...], ...] = ()
@@ -185,7 +202,7 @@ def visit_message(
     ages: Mapping[str, float],
     home: str,
     ended: bool,
-    doubted: Iterable[str] = (),
+    rays: Mapping[str, tuple[Ray, ...]] = MappingProxyType({}),
 ) -> VisitMessage:
     """Return the message with a visit; its `drive` is the identifier of the visit."""
     homes = {
@@ -214,7 +231,7 @@ def visit_message(
         map=_map_data(visit.map),
         views={name: tuple(_views(views, name)) for name in views.passed},
         ages=dict(ages),
-        doubted=tuple(doubted),
+        rays=dict(rays),
         homes=homes,
         routes=routes,
         together=visit.together,

@@ -16,18 +16,20 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
-from homeward.geometry.frames import Pose
-from homeward.geometry.se2 import compose
+from homeward.geometry import se2
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, compose
 from homeward.io.settings import parsed
 from homeward.io.table import quoted
 from homeward.io.writing import state_folder
 from homeward.live.fleet.changes import change_words, doubtful, is_same, with_changes
 from homeward.live.fleet.connection import Broker, Connection
-from homeward.live.fleet.fits import Fits
+from homeward.live.fleet.fits import Fits, Rejected
 from homeward.live.fleet.kept_visits import KeptVisits
 from homeward.live.fleet.messages import (
     Ack,
     Changes,
+    Ray,
     VisitMessage,
     place_of,
     visit_message,
@@ -321,8 +323,8 @@ class SharedPlaceSession(PlaceSession):
         if self._frames:
             poses, sigmas, seen = zip(*self._frames, strict=True)
             self._frames.clear()
-            robot = compose(np.array(self.place.home_pose(home)), np.array(poses))
-            cameras = compose(robot, np.broadcast_to(np.array(sensor.pose), robot.shape))
+            robot = se2.compose(np.array(self.place.home_pose(home)), np.array(poses))
+            cameras = se2.compose(robot, np.broadcast_to(np.array(sensor.pose), robot.shape))
             spread, field_of_view = np.array(sigmas), sensor.field_of_view
             self._views.add(self.place.map, cameras, spread, seen, field_of_view)
         evidence = self._link.visit
@@ -331,7 +333,18 @@ class SharedPlaceSession(PlaceSession):
         about = self._link.visit, evidence, self.when, own, None, home
         visit = self._with_stored(VisitData(*about, together=together))
         ages = {n: max(self._newest - t, 0.0) for n, t in self._fits.last.items()}
-        return visit_message(visit, self._views, ages, home, is_last, self._fits.doubted)
+        rays = {
+            name: tuple(self._ray(each, drive, home) for each in some)
+            for name, some in self._fits.rejected.items()
+        }
+        return visit_message(visit, self._views, ages, home, is_last, rays)
+
+    def _ray(self, seen: Rejected, drive: Drive, home: str) -> Ray:
+        """Return a sighting in the frame of the place."""
+        assert self.place is not None
+        robot = compose(self.place.home_pose(home), seen.pose)
+        x, y, heading = compose(robot, drive.settings.mount_of(seen.camera).pose)
+        return float(x), float(y), float(wrap(heading + seen.bearing)), seen.sigma
 
     def _receive(self, place: Place) -> None:
         before, self._latest = self._latest, place
