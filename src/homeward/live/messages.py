@@ -6,6 +6,7 @@ Times are seconds on the robot's clock with any epoch; units and signs are those
 
 from __future__ import annotations
 
+import inspect
 from typing import Annotated, Any, Literal
 
 from homeward.drives.landmarks import Surveyed
@@ -55,19 +56,29 @@ Bearings = Annotated[dict[Id, Bounded], Field(max_length=MAX_LANDMARKS)]
 Sigmas = Annotated[dict[Id, Sigma], Field(max_length=MAX_LANDMARKS)]
 
 
-class Hello(Strict):
+class LiveMessage(Strict):
+    """A message; the class has the value of its key `type`."""
+
+    type: str
+
+    def __init_subclass__(cls, type: str = "", **options: Any) -> None:
+        if type:
+            cls.__annotations__ = {"type": Literal[type]} | inspect.get_annotations(cls)
+            cls.type = type
+        super().__init_subclass__(**options)
+
+
+class Hello(LiveMessage, type="hello"):
     """First message in both directions."""
 
-    type: Literal["hello"] = "hello"
     version: Literal[1] = 1
     token: str | None = None
     """Required if the server has a token."""
 
 
-class OdometryIn(Strict):
+class OdometryIn(LiveMessage, type="odometry"):
     """Twist that is valid from `t` [s] on."""
 
-    type: Literal["odometry"] = "odometry"
     t: Time
     v: Speed
     """Forward [m/s]."""
@@ -79,10 +90,9 @@ class OdometryIn(Strict):
     """Pose in the robot's own odometry frame, if it has one: x [m], y [m], heading [rad]."""
 
 
-class BearingsIn(Strict):
+class BearingsIn(LiveMessage, type="bearings"):
     """Bearings at `t` [s]; send an empty one if no landmark is in view."""
 
-    type: Literal["bearings"] = "bearings"
     t: Time
     bearings: Bearings
     """Bearing from the camera's axis, anti-clockwise, by landmark id [rad]."""
@@ -98,10 +108,9 @@ class BearingsIn(Strict):
     """Name of one of several cameras, as under `cameras` of the robot; empty for the first."""
 
 
-class TiltIn(Strict):
+class TiltIn(LiveMessage, type="tilt"):
     """Roll and pitch of the robot at `t` [s], for which bearings are corrected."""
 
-    type: Literal["tilt"] = "tilt"
     t: Time
     roll: Bounded
     """Positive: its left side is raised [rad]."""
@@ -109,117 +118,98 @@ class TiltIn(Strict):
     """Positive: its front is lowered [rad]."""
 
 
-class SetHome(Strict):
+class SetHome(LiveMessage, type="home"):
     """Home bearings; the map begins again."""
 
-    type: Literal["home"] = "home"
     bearings: Bearings
     sigmas: Sigmas = {}
     name: Name = "home"
 
 
-class StoreHome(Strict):
+class StoreHome(LiveMessage, type="store_home"):
     """Store home here: bearings of a robot at rest, or those since `LookRound`; a new map begins.
 
     In a place it is a further home, stored also while driving, and the map continues.
     """
 
-    type: Literal["store_home"] = "store_home"
     name: Name = "home"
 
 
-class LookRound(Strict):
+class LookRound(LiveMessage, type="look_round"):
     """Home is here: capture bearings until `StoreHome`; the robot may turn on the spot."""
 
-    type: Literal["look_round"] = "look_round"
 
-
-class TurnHome(Strict):
+class TurnHome(LiveMessage, type="turn_home"):
     """Home is here: turn once on the spot and store the bearings; the map begins again."""
 
-    type: Literal["turn_home"] = "turn_home"
     name: Name = "home"
 
 
-class GoHome(Strict):
+class GoHome(LiveMessage, type="go_home"):
     """Drive home; to another home the map begins again, except in a place."""
 
-    type: Literal["go_home"] = "go_home"
     name: Name | None = None
     dock: bool = False
     """Whether to reach its heading, too, along its axis."""
 
 
-class GoTo(Strict):
+class GoTo(LiveMessage, type="go_to"):
     """Drive to a point in the home frame."""
 
-    type: Literal["go_to"] = "go_to"
     x: Bounded
     """[m]"""
     y: Bounded
     """[m]"""
 
 
-class GoToLandmark(Strict):
+class GoToLandmark(LiveMessage, type="go_to_landmark"):
     """Drive to a landmark, up to a distance of `standoff`."""
 
-    type: Literal["go_to_landmark"] = "go_to_landmark"
     name: Id
     standoff: Annotated[float, Field(ge=0, le=MAX_LENGTH, allow_inf_nan=False)] = 0.5
     """[m]"""
 
 
-class BeginRoute(Strict):
+class BeginRoute(LiveMessage, type="begin_route"):
     """Begin a route here, instead of at the begin of the visit."""
 
-    type: Literal["begin_route"] = "begin_route"
 
-
-class StoreRoute(Strict):
+class StoreRoute(LiveMessage, type="store_route"):
     """Store the path since the begin of the route as a route of the place."""
 
-    type: Literal["store_route"] = "store_route"
     name: Name
 
 
-class FollowRoute(Strict):
+class FollowRoute(LiveMessage, type="follow_route"):
     """Drive along a route of the place, from its closest point."""
 
-    type: Literal["follow_route"] = "follow_route"
     name: Name
 
 
-class SavePlace(Strict):
+class SavePlace(LiveMessage, type="save_place"):
     """Merge the visit since the map was begun into the place now, not only at the end."""
 
-    type: Literal["save_place"] = "save_place"
 
-
-class Cancel(Strict):
+class Cancel(LiveMessage, type="cancel"):
     """Stop, and cancel the goal."""
 
-    type: Literal["cancel"] = "cancel"
 
-
-class EStop(Strict):
+class EStop(LiveMessage, type="estop"):
     """Emergency stop: no motion while engaged; afterwards a goal must be sent again."""
 
-    type: Literal["estop"] = "estop"
     engaged: bool
 
 
-class Obstacle(Strict):
+class Obstacle(LiveMessage, type="obstacle"):
     """Free distance ahead; after the first message the robot needs them continuously to drive."""
 
-    type: Literal["obstacle"] = "obstacle"
     distance: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     """[m]"""
 
 
-class SetStart(Strict):
+class SetStart(LiveMessage, type="start"):
     """Approximate pose of the robot in the home frame; the map begins again."""
 
-    type: Literal["start"] = "start"
     x: Bounded
     y: Bounded
     heading: Bounded
@@ -229,10 +219,9 @@ class SetStart(Strict):
     """[rad]"""
 
 
-class SetExtrinsics(Mount):
+class SetExtrinsics(Mount, LiveMessage, type="mount"):
     """Extrinsics of a camera on the robot; the map is reset, unless it is a new camera."""
 
-    type: Literal["mount"] = "mount"
     x: Offset = 0.0
     y: Offset = 0.0
     yaw: Turn = 0.0
@@ -240,16 +229,13 @@ class SetExtrinsics(Mount):
     """As in `BearingsIn`."""
 
 
-class Reset(Strict):
+class Reset(LiveMessage, type="reset"):
     """Begin the map again, with the robot anywhere."""
 
-    type: Literal["reset"] = "reset"
 
-
-class EstimateOut(Strict):
+class EstimateOut(LiveMessage):
     """An `Estimate`."""
 
-    type: Literal["estimate", "smoothed"]
     t: float
     status: Status
     reason: str
@@ -262,22 +248,17 @@ class EstimateOut(Strict):
     position with a probability of 99.9 % [m]."""
 
 
-class Answer(EstimateOut):
+class Answer(EstimateOut, type="estimate"):
     """Answer to bearings: the causal estimate."""
 
-    type: Literal["estimate"] = "estimate"
 
-
-class Smoothed(EstimateOut):
+class Smoothed(EstimateOut, type="smoothed"):
     """Estimate of an earlier answer, with its stamp, smoothed with later data."""
 
-    type: Literal["smoothed"] = "smoothed"
 
-
-class Command(Strict):
+class Command(LiveMessage, type="command"):
     """Velocity command; a robot that receives no command for `hold` must stop."""
 
-    type: Literal["command"] = "command"
     v: float
     """[m/s]"""
     omega: float
@@ -302,17 +283,15 @@ class LandmarkOut(Strict):
     moved_probability: float | None = None
 
 
-class LandmarksOut(Strict):
+class LandmarksOut(LiveMessage, type="landmarks"):
     """Estimates of all landmarks, once a second."""
 
-    type: Literal["landmarks"] = "landmarks"
     landmarks: tuple[LandmarkOut, ...]
 
 
-class Diagnostics(Strict):
+class Diagnostics(LiveMessage, type="diagnostics"):
     """State of the session, once a second."""
 
-    type: Literal["diagnostics"] = "diagnostics"
     status: Status
     reason: str
     homing: str
@@ -339,15 +318,14 @@ class Diagnostics(Strict):
     """Maximum time of the estimator for one sample in the last second [ms]."""
 
 
-class PlaceChanged(Strict):
+class PlaceChanged(LiveMessage, type="place_changed"):
     """Not a message of a client: other robots changed the place, or its server is lost."""
 
-    type: Literal["place_changed"] = "place_changed"
     text: str
     is_error: bool = False
 
 
-class EventOut(Strict):
+class EventOut(LiveMessage):
     """Report of an action, or of an error."""
 
     type: Literal["event", "error"]
