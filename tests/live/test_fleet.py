@@ -234,6 +234,18 @@ def test_addresses_that_are_not_valid_are_refused(url):
         given_broker(url, "a")
 
 
+def test_the_password_is_in_the_environment_or_in_a_file(tmp_path, monkeypatch):
+    assert given_broker("mqtt://h", "a").password is None
+    monkeypatch.setenv("HOMEWARD_MQTT_PASSWORD", "of the environment")
+    assert given_broker("mqtt://h", "a").password == "of the environment"
+    (tmp_path / "password").write_text("of the file\n")
+    broker = given_broker("mqtt://h", "a", tmp_path / "password")
+    assert broker.password == "of the file"
+    assert "of the file" not in repr(broker)
+    with pytest.raises(InputError, match="none: cannot be read"):
+        given_broker("mqtt://h", "a", tmp_path / "none")
+
+
 def test_old_options_name_the_new_ones(folder):
     for arguments, words in (
         (["place", "serve", str(folder), "--tcp", "7710"], "--mqtt mqtt://HOST"),

@@ -14,6 +14,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.io.settings import read_settings
+from homeward.live.fleet.merging import LIVE, SharedPlace
 from homeward.live.recording import read_drive
 from homeward.places.files import load_place, save_place
 from homeward.places.visit_data import VisitData
@@ -38,6 +39,22 @@ def test_a_place_with_a_route_is_read_used_and_written(tmp_path):
     assert save_place(place, folder, 1) == 2
     assert np.array_equal(load_place(folder).map.covariance, place.map.covariance)
     assert CliRunner().invoke(app, ["place", "info", str(folder)]).exit_code == 0
+
+
+def test_a_visit_that_a_merger_or_a_robot_kept_is_read(tmp_path):
+    folder = shutil.copytree(OLD / "place", tmp_path / "hall")
+    (folder / LIVE).mkdir()
+    shutil.copy(OLD / "visit.json", folder / LIVE / "a.1f.json")
+    shared = SharedPlace(folder)
+    shared.load(0.0, 20001.0)
+    assert shared.problems == []
+    assert shared.visits["a", "1f"].message.doubted == ("L0",)
+    ((*_, text),) = shared.settle(0.0)
+    assert "5 stayed" in text
+    place = load_place(folder)
+    assert place.home_pose("dock") == pytest.approx((1.0, 2.0, 0.5), abs=0.1)
+    assert place.homes["dock"].seen["L2"] == HomeBearing(1.0, 0.01, "rear")
+    assert {*place.routes} == {"round"}  # that of the place: the visit's has the same name
 
 
 def test_a_robot_file_is_read():
