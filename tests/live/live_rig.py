@@ -61,7 +61,7 @@ class Rig:
 
     @property
     def state(self):
-        return self.session.homing.state.value
+        return self.session.driver.state.value
 
     def standing(self):
         return not self.commands or Twist(self.commands[-1][1].v, self.commands[-1][1].omega) == (

@@ -49,7 +49,7 @@ def test_an_unexpected_error_fails_the_goal_and_begins_the_map_again(monkeypatch
     rig.until(lambda rig: rig.state == "failed", 5.0)
     (text,) = [text for text in texts(rig) if "internal error" in text]
     assert text == "internal error, the map was begun again: IndexError: tuple index out of range"
-    assert rig.session.homing.reason == text
+    assert rig.session.driver.reason == text
     assert rig.standing()
     assert rig.session.localisation.estimator is not before
     rig.until(lambda rig: rig.session.localisation.fix.estimate.status is Status.MAPPING)

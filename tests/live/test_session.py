@@ -425,7 +425,7 @@ def test_a_start_at_home_is_accepted():
 def test_a_robot_that_docks_is_home_with_its_heading():
     rig = Rig(1, task=GoHome(dock=True))
     rig.until(lambda r: r.state == "arrived", 90.0)
-    assert "degrees from home" in rig.session.homing.reason
+    assert "degrees from home" in rig.session.driver.reason
     assert rig.robot.distance < 0.06
     assert abs(math.remainder(rig.robot.pose.heading, math.tau)) < 0.06
 

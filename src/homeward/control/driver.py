@@ -98,7 +98,10 @@ class Driver:
         back = None if blind is None or faults or belief.pose is None else blind.back
         if blind is not None:
             faults += (blind.fault,)
-        fault = self.hindrance(now, belief, faults)
+        by_odometry = self._controller is not None and self._controller.by_odometry
+        fault = self.hindrance(now, None if by_odometry else belief, faults)
+        if by_odometry and belief.pose is None:
+            fault = fault or Fault("no odometry")
         pose_fault = None if faults else fault
         hindrance, self.value = fault or ("", None)
         if self._controller is None:
@@ -124,7 +127,7 @@ class Driver:
         wanted, vy = output.twist, output.vy
         lost_s = self._unlocalised.seconds
         slow_s = max(unseen_s, lost_s) if math.isfinite(lost_s) else unseen_s
-        if slow_s > SLOW_S and not self._controller.by_odometry:
+        if slow_s > SLOW_S and not by_odometry:
             speed = math.hypot(wanted.v, vy)
             slower = min(1.0, SLOW_SHARE * self._limits.speed / speed) if speed else 1.0
             wanted, vy = Twist(slower * wanted.v, slower * wanted.omega), slower * vy
@@ -153,15 +156,13 @@ class Driver:
         self._looked += abs(self._twist.omega) * dt
         return self._twist
 
-    def hindrance(self, now: float, belief: Belief, faults: tuple[Fault, ...] = ()) -> Fault | None:
-        """Return why the robot could not drive at `now` [s]; None if it could."""
-        return faults[0] if faults else self._pose_fault(now, belief)
-
-    def _pose_fault(self, now: float, belief: Belief) -> Fault | None:
-        """Return why the pose is not good enough for driving; None if it is."""
+    def hindrance(
+        self, now: float, belief: Belief | None, faults: tuple[Fault, ...] = ()
+    ) -> Fault | None:
+        """Return why the robot could not drive at `now` [s], also for its pose if it needs one."""
+        if faults or belief is None:
+            return faults[0] if faults else None
         limits = self._limits
-        if self._controller is not None and self._controller.by_odometry:
-            return None if belief.pose is not None else Fault("no odometry")
         if belief.pose is None or belief.covariance is None:
             return Fault(f"lost, no pose: {belief.status.value}")
         since = self._unlocalised.seconds

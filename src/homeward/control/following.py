@@ -145,8 +145,6 @@ class Follower:
     def __init__(self, goal: RouteGoal, limits: Limits) -> None:
         self._name, self._path, self._limits = *goal, limits
         self._speed, self._turn_rate = limits.speed, limits.turn_rate
-        self._over: ControlOutput | None = None
-        """The last output, once the robot has arrived or failed."""
         self._stop = 0
         """Index of the current or next stop."""
         self._entering = True
@@ -166,18 +164,10 @@ class Follower:
         """
 
     def step(self, now: float, belief: Belief, hindrance: str) -> ControlOutput:
-        """Return the output at `now` [s], which never decreases.
+        """Return the output at `now` [s], which never decreases, until the drive is over.
 
         If a hindrance is given, the robot must stop.
         """
-        if self._over is None:
-            output = self._output(now, belief, hindrance)
-            if output.state in (GoalState.ARRIVED, GoalState.FAILED):
-                self._over = output
-            return output
-        return self._over
-
-    def _output(self, now: float, belief: Belief, hindrance: str) -> ControlOutput:
         if belief.status is Status.LOCALISED:
             self._localised_at = now
         if now < self._leave_at < math.inf:  # needs no pose

@@ -148,14 +148,17 @@ class Localisation:
         any other error; the map is begun again then.
         """
         try:
-            return self._do(message, odom)
+            out = self._do(message, odom)
+            return msg.EventOut(type="event", text=out) if isinstance(out, str) else out
         except HomewardError:
             raise
         except Exception as error:  # a fault of homeward must not end a robot's session
             self._restart()
             raise InternalError(error, "the map was begun again") from error
 
-    def _do(self, message: msg.Input | msg.PlaceChanged, odom: Pose | None) -> msg.Output | None:
+    def _do(
+        self, message: msg.Input | msg.PlaceChanged, odom: Pose | None
+    ) -> msg.Output | str | None:
         if isinstance(message, msg.Cancel | msg.EStop | msg.GoalMessage):
             self._capture.end()
         match message:
@@ -166,8 +169,7 @@ class Localisation:
             case msg.BearingsIn():
                 return self._answer(message, odom)
             case msg.SetHome(name=name) if self.place is not None and self.place.has_homes:
-                text = f"home {quoted(name)} is ignored: the place has its own homes"
-                return msg.EventOut(type="event", text=text)
+                return f"home {quoted(name)} is ignored: the place has its own homes"
             case msg.SetHome(name=name) | msg.StoreHome(name=name) if self._is_one_too_many(name):
                 raise InputError(f"already {MAX_HOMES} homes; replace one of them by its name")
             case msg.SetHome(name=name, bearings=seen, sigmas=known):
@@ -180,7 +182,7 @@ class Localisation:
             case msg.LookRound() | msg.TurnHome():
                 self._capture.begin(self._robot)
             case msg.SavePlace():
-                return msg.EventOut(type="event", text=self._merge())
+                return self._merge()
             case msg.GoHome(name=str(name)) if self.place is None and name != self.home:
                 if name not in self.homes:
                     there = ", ".join(self.homes) or "none yet"
@@ -193,13 +195,11 @@ class Localisation:
             case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
                 self._set_goal(message)
             case msg.BeginRoute():
-                text = self._required_place().begin_route(self.fix.estimate)
-                return msg.EventOut(type="event", text=text)
+                return self._required_place().begin_route(self.fix.estimate)
             case msg.StoreRoute(name=name):
                 if len(self._required_place().routes) >= MAX_HOMES:
                     raise InputError(f"already {MAX_HOMES} routes; no more can be stored")
-                text = self._required_place().store_route(name, self._known())
-                return msg.EventOut(type="event", text=text)
+                return self._required_place().store_route(name, self._known())
             case msg.SetStart(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
                 R = max(polar.R, MIN_R)
@@ -333,25 +333,24 @@ class Localisation:
         begun = self.drive is not None and name != self.home
         return self.place is not None and (self.in_place or begun)
 
-    def _store(self, name: str) -> msg.EventOut:
+    def _store(self, name: str) -> str:
         """Store the pose of the robot as a further home of the place."""
         assert self.place is not None
         self._capture.end()  # its landmarks are in the map
         if (now := self._capture.newest) is None:
             raise InputError(NOTHING_SEEN)
-        text = self.place.store_home(name, self.home, now, self.fix.estimate)
-        return msg.EventOut(type="event", text=text)
+        return self.place.store_home(name, self.home, now, self.fix.estimate)
 
     def _set_home(
         self, name: str, seen: dict[str, HomeBearing], start: Start | None = None, words: str = ""
-    ) -> msg.EventOut:
+    ) -> str:
         """Set home and begin the map again; `words` describe how home was captured."""
         if not seen:
             raise InputError(f"home {quoted(name)} has no landmarks: not stored")
         self.homes[name], self.home = seen, name
         self._begin(start)
         words = f"is stored: {words}" if words else f"has {count(len(seen), 'landmark')}"
-        return msg.EventOut(type="event", text=f"home {quoted(name)} {words}")
+        return f"home {quoted(name)} {words}"
 
     def _begin(self, start: Start | None) -> None:
         """Begin the map again."""

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 from homeward.errors import HomewardError, InputError
-from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.writing import state_folder, write_whole
 from homeward.live.inbox import ClientTurn, Inbox, Line, stdin_lines, stop_in, tcp_lines
 from homeward.live.messages import MAX_LINE, EStop, EventOut, Hello, Input, Output, line_of, parse
@@ -120,7 +119,6 @@ class Server:
     ports: list[int] = field(default_factory=list)
     """Ports of TCP and WebSocket that `serve` opened."""
     _clients: set[_Client] = field(default_factory=set)
-    _work: threading.Event = field(default_factory=threading.Event)
     _guess: asyncio.Lock = field(default_factory=asyncio.Lock)
     _writing: threading.Lock = field(default_factory=threading.Lock)
     _done: bool = False
@@ -173,7 +171,7 @@ class Server:
                 if stdio:
                     reading.cancel()
                 self._done = True
-                self._work.set()
+                self.session.end()
                 await asyncio.to_thread(worker.join)
                 await asyncio.sleep(0)  # send the worker's last output
                 failure = ticking.exception() if ticking.done() else self._failure
@@ -186,12 +184,7 @@ class Server:
     def _process(self, loop: asyncio.AbstractEventLoop) -> None:
         """Run the estimator, in its own thread."""
         try:
-            with single_threaded_blas():
-                while not self._done or self.session.waiting:
-                    self._work.wait()
-                    self._work.clear()
-                    for out in self.session.process():
-                        loop.call_soon_threadsafe(self._send, out)
+            self.session.run(lambda out: loop.call_soon_threadsafe(self._send, out))
         except BaseException as error:  # `serve` raises it
             self._failure = error
             self._end()
@@ -211,12 +204,10 @@ class Server:
                     self._send(command)
             except HomewardError as error:
                 self._send(EventOut(type="error", text=str(error)))
-                self._work.set()
             if now - last >= DIAGNOSTICS_S:
                 last = now
                 self._send(self.session.diagnostics(now))
                 self.session.request_landmarks()
-                self._work.set()
 
     def _send(self, out: Output) -> None:
         """Send a message to all clients; disconnect those that do not read."""
@@ -231,10 +222,7 @@ class Server:
                 client.send(line)
 
     def _receive(self, message: Input, client: _Client) -> None:
-        try:
-            self.session.receive(message, time.monotonic(), client)
-        finally:
-            self._work.set()
+        self.session.receive(message, time.monotonic(), client)
         if isinstance(message, EStop) and self.stop_file is not None:
             self._loop.run_in_executor(None, self._keep_stop, self.stop_file)
 

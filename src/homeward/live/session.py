@@ -15,7 +15,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
 from homeward.control.driver import Driver
-from homeward.control.goals import STAND, Belief, Goal, GoalState, TurnGoal
+from homeward.control.goals import STAND, Belief, GoalState, TurnGoal
 from homeward.control.watchdog import (
     Blind,
     DrivingTime,
@@ -29,7 +29,8 @@ from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import NO_BEARINGS_S, Status, takes_sideways
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, Twist, compose
+from homeward.geometry.frames import Pose, compose
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.live import messages as msg
 from homeward.live.levelling import Levelling
 from homeward.live.localisation import Homes, Localisation
@@ -70,10 +71,10 @@ class Session:
         noise = robot.odometry
         self._is_calibrated = None not in (noise.speed_sigma, noise.turn_sigma)
         """Whether the odometry noise is given, so that the robot may drive on odometry alone."""
-        self.homing, self._turning = Driver(limits), Driver(limits)
-        self._driver = self.homing
+        self.driver = Driver(limits)
         self._accurate = limits.accuracy()
-        self._store_after_turn = msg.StoreHome()
+        self._turn_home: msg.TurnHome | None = None
+        """Message that began the turn which the robot drives, if it does."""
         self.counts: Counter[str] = Counter()
         """Samples that did not reach the estimator, by reason in words."""
         self._levelling = Levelling(robot, self.counts)
@@ -94,16 +95,16 @@ class Session:
         self._stops = set[object]()
         """Senders whose emergency stop is engaged."""
         self._queue: deque[tuple[_Queued, Pose | None, float, object]] = deque()
-        self._lock = threading.Lock()
+        self._lock, self._news, self._ended = threading.Lock(), threading.Event(), False
         self._answered = -math.inf
         self._work_s = 0.0
-        self._goal_message: msg.GoalMessage | None = None
-        """Goal that is not processed yet; the robot waits meanwhile."""
+        self._goal_message: msg.GoalMessage | msg.TurnHome | None = None
+        """Goal or turn that is not processed yet; the robot waits meanwhile."""
         self._refused = ""
         """Reason why the goal cannot be reached."""
         self._landmarks_requested = False
         if place is not None:
-            place.subscribe(lambda message: self._enqueue(message, None, math.nan))
+            place.subscribe(self._enqueue)
 
     @property
     def waiting(self) -> int:
@@ -158,9 +159,9 @@ class Session:
                 else:
                     self._stops.discard(sender)
                 # The release also ends a drive: the robot must not move before a new goal.
-                self._driver.fail("emergency stop", now)
+                self.driver.fail("emergency stop", now)
             case msg.Cancel():
-                self._driver.fail("cancelled", now)
+                self.driver.fail("cancelled", now)
             case msg.Obstacle(distance=distance):
                 self._obstacle = distance, now
                 return
@@ -168,19 +169,40 @@ class Session:
                 self._levelling.add(message)
                 return
             case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
-                with self._lock:
-                    self._goal_message, self._refused = message, ""
-                self._switch_to(self.homing, now)
+                self._drive(message, None, now)
+            case msg.TurnHome():
+                self._drive(message, message, now)
             case msg.SetExtrinsics(x=x, y=y, yaw=yaw, camera=name):
                 self._frozen.set_extrinsics(name, OtherCamera(x=x, y=y, yaw=yaw))
-            case msg.TurnHome(name=name):
-                self._store_after_turn = msg.StoreHome(name=name)
-                self._switch_to(self._turning, now, TurnGoal())
         self._enqueue(message, odom, t, sender)
+
+    def _drive(
+        self, goal: msg.GoalMessage | msg.TurnHome, turn: msg.TurnHome | None, now: float
+    ) -> None:
+        """Start the drive to a goal, or a turn."""
+        with self._lock:
+            self._goal_message, self._refused, self._turn_home = goal, "", turn
+        self.driver.go(now, None if turn is None else TurnGoal())
 
     def request_landmarks(self) -> None:
         """Let `process` also yield the landmarks. Fast, even while the estimator is busy."""
         self._landmarks_requested = True
+        self._news.set()
+
+    def run(self, send: Callable[[msg.Output], object]) -> None:
+        """Process messages as they come until `end`, in a thread, and pass all output to `send`."""
+        with single_threaded_blas():
+            while not self._ended or self._queue:
+                self._news.wait()
+                self._news.clear()
+                for out in self.process():
+                    send(out)
+        self._ended = False
+
+    def end(self) -> None:
+        """Let `run` return when the queue is processed."""
+        self._ended = True
+        self._news.set()
 
     def process(self) -> Iterator[msg.Output]:
         """Process the queue and yield the output. As slow as the estimator."""
@@ -245,36 +267,44 @@ class Session:
     def _failure(self, error: Exception, consequence: str, now: float) -> InternalError:
         """Let the drive fail and the map begin again after an unexpected error."""
         failure = InternalError(error, consequence)
-        self._driver.fail(str(failure), now)
+        self.driver.fail(str(failure), now)
         self._twists = TwistHistory()
-        self._enqueue(msg.Reset(), None, math.nan)
+        self._enqueue(msg.Reset())
         return failure
 
     def _command(self, now: float) -> msg.Command | None:
-        self._unseen.add(max(now - self._ticked, 0.0), self._twist, self._driver.vy)
+        driver = self.driver
+        self._unseen.add(max(now - self._ticked, 0.0), self._twist, driver.vy)
         self._ticked = now
         if self._refused:
-            self.homing.fail(self._refused, now)
+            driver.fail(self._refused, now)
             self._refused = ""
-        if self._driver is self._turning:
-            twist = self._turn(now)
+        belief, turn = Belief(Status.WAITING, None, None), self._turn_home
+        if turn is not None:
+            here = self._odometry_pose(self._twists.newest) if self._twists else None
+            was_active = driver.active
+            twist = driver.command(now, belief._replace(pose=here), self.faults(now))
+            if not driver.active:
+                self._turn_home = None
+            if was_active and not driver.active:  # home is stored after a full turn only
+                is_complete = driver.state is GoalState.TURNED
+                self._enqueue(msg.StoreHome(name=turn.name) if is_complete else msg.Cancel())
         else:
-            belief = Belief(Status.WAITING, None, None)
             if self._goal_message is None:
-                self.homing.aim(self.localisation.goal)
+                driver.aim(self.localisation.goal)
                 belief = self.belief(now)
             about = self.faults(now), self._blind(now), self._unseen.seconds
-            twist = self.homing.command(now, belief, *about)
+            twist = driver.command(now, belief, *about)
         self._twist = twist or STAND
         if twist is None:
             return None
         return msg.Command(
             v=twist.v,
             omega=twist.omega,
-            vy=self._driver.vy,
-            state=self._driver.state.value,
-            reason=self._driver.reason,
-            value=self._driver.value,
+            vy=driver.vy,
+            state=driver.state.value,
+            reason=driver.reason,
+            value=driver.value,
             hold=STOPS_WITHIN_S,
         )
 
@@ -342,14 +372,14 @@ class Session:
             counts |= {why.words: n for why, n in dict(estimator.counts.rejected).items()}
         faults, blind = self.faults(now), self._blind(now)
         hindered = faults if blind is None else (*faults, blind.fault)
-        hindrance = self.homing.hindrance(now, self.belief(now), hindered)
+        hindrance = self.driver.hindrance(now, self.belief(now), hindered)
         accuracy = estimate.accuracy
         sigma = math.nan if accuracy is None else accuracy.position
         work, self._work_s = self._work_s, 0.0
         return msg.Diagnostics(
             status=estimate.status,
             reason=estimate.reason,
-            homing=": ".join(filter(None, (self._driver.state.value, self._driver.reason))),
+            homing=": ".join(filter(None, (self.driver.state.value, self.driver.reason))),
             is_accurate=self._accurate.is_met(sigma),
             can_home=hindrance is None,
             cannot_home="" if hindrance is None else hindrance.reason,
@@ -370,34 +400,21 @@ class Session:
     @property
     def driving(self) -> bool:
         """Whether the robot is commanded."""
-        return self._driver.active
-
-    def _switch_to(self, driver: Driver, now: float, goal: Goal | None = None) -> None:
-        """Start a driver; the other one fails."""
-        if driver is not self._driver:
-            self._driver.fail("replaced by a new task", now)
-        self._driver = driver
-        driver.go(now, goal)
-
-    def _turn(self, now: float) -> Twist | None:
-        """Return the twist of the turn; store home after a full turn only."""
-        began = self._turning.active
-        here = self._odometry_pose(self._twists.newest) if self._twists else None
-        belief = Belief(Status.WAITING, here, None)
-        twist = self._turning.command(now, belief, self.faults(now))
-        if began and not self._turning.active:
-            is_complete = self._turning.state is GoalState.TURNED
-            self._enqueue(self._store_after_turn if is_complete else msg.Cancel(), None, math.nan)
-        return twist
+        return self.driver.active
 
     def _enqueue(
-        self, message: _Queued, odom: Pose | None, t: float, sender: object = None
+        self,
+        message: _Queued,
+        odom: Pose | None = None,
+        t: float = math.nan,
+        sender: object = None,
     ) -> None:
         """Queue a message for `process`."""
         with self._lock:
             self._queue.append((message, odom, t, sender))
             if len(self._queue) > self.settings.queue:
                 self._drop_oldest()
+        self._news.set()
 
     def _watch(self, sample: msg.OdometryIn | msg.BearingsIn, now: float) -> float:
         """Report a sample to its watchdog; return its stamp on the common clock [s]."""

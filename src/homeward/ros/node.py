@@ -24,7 +24,6 @@ from homeward.drives.ros.stamps import NANO
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.frames import Pose
-from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.models import Strict
 from homeward.io.settings import read_settings, validated
 from homeward.live import messages as msg
@@ -105,7 +104,6 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._parts: list[tuple[Any, Any]] = []
         self._publish = Publishers(self)
         self._worker: threading.Thread | None = None
-        self._work, self._running = threading.Event(), False
         self._cameras: MessageCameras | None = None
         self._frames = FrameOrder(1)
         self._pictures: Newest[msg.BearingsIn] | None = None
@@ -164,7 +162,6 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         for period, act in ((1 / self._live.settings.rate, self._tick), (1.0, self._report)):
             timer = self.create_timer(period, act, clock=steady)
             self._parts.append((self.destroy_timer, timer))
-        self._running = True
         self._worker = threading.Thread(target=self._process, daemon=True)
         self._worker.start()
         return super().on_activate(state)
@@ -275,7 +272,6 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _take(self, message: msg.Input) -> None:
         self._live.receive(message, time.monotonic())
-        self._work.set()
 
     def _odometry(self, message: Any) -> None:
         self._take(convert.odometry_in(message, self._stamps.seconds(message.header.stamp)))
@@ -335,12 +331,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _process(self) -> None:
         """Run the estimator, in its own thread."""
         try:
-            with single_threaded_blas():
-                while self._running:
-                    self._work.wait(0.1)
-                    self._work.clear()
-                    for out in self._live.process():
-                        self._output(out)
+            self._live.run(self._output)
         except Exception as error:
             if self.context.ok():  # after a shutdown there is no log
                 self.get_logger().fatal(f"the estimator's thread ended: {error}")
@@ -380,12 +371,10 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         """Publish diagnostics, and request the landmarks."""
         self._publish.diagnostics(self._live.diagnostics(time.monotonic()))
         self._live.request_landmarks()
-        self._work.set()
 
     def _stop(self) -> None:
-        self._running = False
-        self._work.set()
         if self._worker is not None:
+            self._live.end()
             self._worker.join()
         self._worker = None
         if self._pictures is not None:
