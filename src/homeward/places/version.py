@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import Field, astuple, fields, replace
+from dataclasses import Field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -20,12 +21,11 @@ from homeward.io.models import Strict
 from homeward.io.reading import naming, opened
 from homeward.io.settings import read_settings
 from homeward.io.table import (
+    MAX_ANGLE,
     Parser,
-    Table,
     identifiers,
-    identifiers_or_empty,
     numbers,
-    numbers_or_nan,
+    quoted,
     read_csv,
     with_default,
     write_csv,
@@ -37,16 +37,7 @@ from homeward.places.route import Node, Route
 from homeward.places.views import SECTORS
 
 FORMAT = 1
-SETTINGS, LANDMARKS, HOMES, BEARINGS = (
-    "place.yaml",
-    "landmarks.csv",
-    "homes.csv",
-    "home_bearings.csv",
-)
-VISITS, EVENTS, VIEWS, COVARIANCE = "visits.csv", "events.csv", "views.csv", "covariance.npz"
-ROUTES = "routes.csv"
-DAYS = ("when", "since", "last")
-"""Fields of records that are days since 1970."""
+SETTINGS, COVARIANCE = "place.yaml", "covariance.npz"
 MAX_COORDINATE = 1e6
 """Maximum coordinate of a route's nodes [m]."""
 MAX_LANDMARKS = 5000
@@ -70,7 +61,103 @@ class PlaceSettings(Strict):
     together: tuple[tuple[str, ...], ...] = ()
     """Groups of landmarks that move together."""
     views: int = 0
-    """Number of rows of `VIEWS`; missing in old files without it."""
+    """Number of rows of the views; missing in old files without them."""
+
+
+def _checked(parse: Parser, is_good: Callable[[Any], bool], words: str) -> Parser:
+    """Return a parser that refuses values that are not good; `words` follow "must be"."""
+
+    def checked(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+        values = parse(name, cells, rows, path)
+        for value, row in zip(values.tolist(), rows, strict=True):
+            if not is_good(value):
+                raise InputError(f"must be {words}, not {quoted(str(value))}", path, row, part=name)
+        return values
+
+    return checked
+
+
+def _limited(low: float, high: float, words: str) -> Parser:
+    return _checked(numbers, lambda value: low <= value <= high, words)
+
+
+_DAYS = _limited(FIRST_DAY, LAST_DAY, "a number of days from 1970 to a valid date")
+_ANGLE = _limited(-MAX_ANGLE, MAX_ANGLE, f"an angle in rad, of at most {MAX_ANGLE:g}")
+_POSITIVE = _limited(0.0, math.inf, "at least 0")
+_NEAR = _limited(-MAX_COORDINATE, MAX_COORDINATE, f"at most {MAX_COORDINATE:g} m from home")
+PARSERS: dict[str, Parser] = {
+    **dict.fromkeys(("when", "since", "last", "stored", "taught"), _DAYS),
+    **dict.fromkeys(("heading", "bearing"), _ANGLE),
+    **dict.fromkeys(("watched", "seen", "missed", "moved", "returned"), _POSITIVE),
+    **dict.fromkeys(("sigma", "dwell", "distance"), _POSITIVE),
+    **dict.fromkeys(("x", "y"), _NEAR),
+    **dict.fromkeys(("home", "landmark", "route"), identifiers),
+    "stands": _limited(0.0, 1.0, "a probability"),
+    "sector": _checked(numbers, range(SECTORS).__contains__, "a sector"),
+}
+"""Parsers of columns; others are parsed by the type of their field."""
+KINDS = {"int": int, "float": float, "str": str}
+
+
+class TableFile(NamedTuple):
+    """Table of a version: columns of its own, and then the fields of a record."""
+
+    file: str
+    columns: tuple[str, ...]
+    record: Any = None
+    """Class of the records; None: the table has none."""
+    optional: str = ""
+    """Column that may be missing."""
+    is_keyed: bool = False
+    """Whether the values of the first column must be different."""
+
+    @property
+    def _recorded(self) -> list[Field[Any]]:
+        """Fields of a record that are columns."""
+        record = self.record
+        return [] if record is None else [f for f in fields(record) if f.name != "seen_from"]
+
+    def write(self, folder: Path, rows: Iterable[Sequence[Any]]) -> None:
+        """Write rows of the table's own cells and a record; NaN is an empty cell."""
+        names = [f.name for f in self._recorded]
+        own = len(self.columns)
+        cells = ((*row[:own], *(getattr(row[own], name) for name in names)) for row in rows)
+        plain = (["" if cell != cell else cell for cell in row] for row in cells)
+        write_csv(folder / self.file, [*self.columns, *names], plain)
+
+    def read(self, folder: Path, number: int | None = None) -> list[tuple[Any, ...]]:
+        """Return the rows, without an optional own column; there must be `number` [1], if given."""
+        path, own = folder / self.file, [c for c in self.columns if c != self.optional]
+        parsers = {c: PARSERS[c] for c in own} | {f.name: _parser(f) for f in self._recorded}
+        optional = {c: parsers.pop(c) for c in (self.optional,) if c in parsers}
+        table = read_csv(path, parsers, optional)
+        if self.is_keyed:
+            table.require_unique(own[0])
+        if number is not None and len(table) != number:
+            raise InputError(f"has {len(table)} rows instead of {number}", path)
+        columns = [table[c].tolist() for c in own]
+        if self.record is not None:
+            given = [f for f in self._recorded if f.name in table.columns]
+            cells = [map(KINDS[str(f.type)], table[f.name].tolist()) for f in given]
+            columns.append([self.record(*row) for row in zip(*cells, strict=True)])
+        return list(zip(*columns, strict=True))
+
+
+def _parser(of: Field[Any]) -> Parser:
+    """Return the parser of a record's field."""
+    parse = PARSERS.get(of.name, identifiers if of.type == "str" else numbers)
+    default: Any = of.default
+    return with_default(parse, default) if default == "" or default != default else parse
+
+
+LANDMARKS = TableFile(
+    "landmarks.csv", ("landmark", "x", "y", "sigma"), LandmarkPersistence, "sigma", True
+)
+HOMES = TableFile("homes.csv", ("home", "x", "y", "heading", "stored"), is_keyed=True)
+BEARINGS = TableFile("home_bearings.csv", ("home", "landmark"), HomeBearing, "camera")
+VISITS, EVENTS = TableFile("visits.csv", (), Visit), TableFile("events.csv", (), Event)
+VIEWS = TableFile("views.csv", ("landmark", "sector", "distance"))
+ROUTES = TableFile("routes.csv", ("route", "taught"), Node)
 
 
 def write_version(place: Place, folder: Path) -> None:
@@ -82,11 +169,11 @@ def write_version(place: Place, folder: Path) -> None:
 
 def write_tables(place: Place, folder: Path) -> None:
     """Write the files of a version but its covariance."""
-    joint = place.map
+    joint, persistence = place.map, place.persistence
     views = [
         (name, sector, round(distance, 2))
         for name in joint.names
-        for sector, distance in enumerate(place.persistence[name].seen_from)
+        for sector, distance in enumerate(persistence[name].seen_from)
         if distance > 0.0
     ]
     settings = PlaceSettings(
@@ -103,45 +190,15 @@ def write_tables(place: Place, folder: Path) -> None:
     )
     text = yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     (folder / SETTINGS).write_text(text, encoding="utf-8")
-    columns = [f.name for f in _fields(LandmarkPersistence)]
-    write_csv(
-        folder / LANDMARKS,
-        ["landmark", "x", "y", "sigma", *columns],
-        (
-            [
-                name,
-                *map(repr, (x, y)),
-                f"{sigma:.4f}",
-                *(getattr(place.persistence[name], column) for column in columns),
-            ]
-            for name, (x, y), sigma in zip(
-                joint.names, joint.positions.tolist(), joint.sigmas.tolist(), strict=True
-            )
-        ),
-    )
+    there = zip(joint.names, joint.positions.tolist(), joint.sigmas.tolist(), strict=True)
+    LANDMARKS.write(folder, ((n, *at, f"{sigma:.4f}", persistence[n]) for n, at, sigma in there))
     poses = dict(zip(joint.homes, joint.poses.tolist(), strict=True))
-    write_csv(
-        folder / HOMES,
-        ["home", "x", "y", "heading", "stored"],
-        ([n, *map(repr, poses[n]), repr(h.stored)] for n, h in place.homes.items()),
-    )
-    write_csv(
-        folder / BEARINGS,
-        ["home", "landmark", "bearing", "sigma", "camera"],
-        (
-            [home, name, repr(b.bearing), "" if np.isnan(b.sigma) else repr(b.sigma), b.camera]
-            for home, stored in place.homes.items()
-            for name, b in stored.seen.items()
-        ),
-    )
-    for file, kind, rows in ((VISITS, Visit, place.visits), (EVENTS, Event, place.events)):
-        write_csv(folder / file, [f.name for f in fields(kind)], map(astuple, rows))
-    write_csv(folder / VIEWS, ["landmark", "sector", "distance"], views)
-    write_csv(
-        folder / ROUTES,
-        ["route", "taught", *(f.name for f in fields(Node))],
-        ([n, repr(r.taught), *astuple(node)] for n, r in place.routes.items() for node in r.nodes),
-    )
+    HOMES.write(folder, ((n, *poses[n], home.stored) for n, home in place.homes.items()))
+    BEARINGS.write(folder, ((n, i, b) for n, h in place.homes.items() for i, b in h.seen.items()))
+    VISITS.write(folder, ((visit,) for visit in place.visits))
+    EVENTS.write(folder, ((event,) for event in place.events))
+    VIEWS.write(folder, views)
+    ROUTES.write(folder, ((n, r.taught, node) for n, r in place.routes.items() for node in r.nodes))
 
 
 def read_version(folder: Path) -> Place:
@@ -157,153 +214,39 @@ def read_tables(folder: Path, covariance: Callable[[int], np.ndarray]) -> Place:
             f"has format {settings.format}, but this version of homeward reads format {FORMAT}",
             folder / SETTINGS,
         )
-    place = {"landmark": identifiers, "x": numbers, "y": numbers}
-    table = read_csv(folder / LANDMARKS, place | _parsers(LandmarkPersistence))
-    table.require_unique("landmark")
-    table.require(
-        "stands", (table["stands"] >= 0) & (table["stands"] <= 1), "must be a probability, not {}"
-    )
-    for name in ("watched", "seen", "missed", "moved", "returned"):
-        table.require(name, table[name] >= 0, "must not be negative, not {}")
-    homes = read_csv(
-        folder / HOMES,
-        {"home": identifiers, **dict.fromkeys(("x", "y", "heading"), numbers), "stored": _days},
-    )
-    homes.require_rows()
-    homes.require_unique("home")
-    _require_rows(table, settings.landmarks, folder / LANDMARKS)
-    _require_rows(homes, settings.homes, folder / HOMES)
-    names, stored = tuple(table["landmark"].tolist()), tuple(homes["home"].tolist())
-    mean = np.concatenate(
-        [
-            np.column_stack([table["x"], table["y"]]).ravel(),
-            np.column_stack([homes["x"], homes["y"], homes["heading"]]).ravel(),
-        ]
-    )
-    joint = JointMap(names, stored, mean, covariance(mean.size))
-    visits, events = (
-        read_csv(folder / file, _parsers(kind)) for file, kind in ((VISITS, Visit), (EVENTS, Event))
-    )
-    visits.require_rows()
-    persistence = dict(zip(names, _records(table, LandmarkPersistence), strict=True))
-    if settings.views:
-        persistence = _with_views(persistence, folder / VIEWS, settings.views)
+    landmarks = LANDMARKS.read(folder, settings.landmarks)
+    stored, visits = HOMES.read(folder, settings.homes), VISITS.read(folder)
+    for form, rows in ((HOMES, stored), (VISITS, visits)):
+        if not rows:
+            raise InputError("no rows", folder / form.file)
+    coordinates = [*((x, y) for _, x, y, _ in landmarks), *(pose for _, *pose, _ in stored)]
+    mean = np.array([value for some in coordinates for value in some])
+    names = tuple(name for name, *_ in landmarks), tuple(name for name, *_ in stored)
+    homes = {name: StoredHome(when, {}) for name, *_, when in stored}
+    for home, landmark, seen in BEARINGS.read(folder):
+        if home not in homes:
+            raise InputError(f"home {quoted(home)} must be in {HOMES.file}", folder / BEARINGS.file)
+        homes[home].seen[landmark] = seen
+    persistence = {name: record for name, *_, record in landmarks}
+    seen_from = defaultdict[str, list[float]](lambda: SECTORS * [0.0])
+    for name, sector, distance in VIEWS.read(folder, settings.views) if settings.views else ():
+        seen_from[name][int(sector)] = distance
+    for name in seen_from.keys() & persistence.keys():
+        persistence[name] = replace(persistence[name], seen_from=tuple(seen_from[name]))
+    nodes = defaultdict[tuple[str, float], list[Node]](list)
+    for *route, node in ROUTES.read(folder, settings.nodes) if settings.nodes else ():
+        nodes[tuple(route)].append(node)
     return Place(
         settings.name,
-        joint,
+        JointMap(*names, mean, covariance(mean.size)),
         persistence,
-        _homes(folder / BEARINGS, dict(zip(stored, homes["stored"].tolist(), strict=True))),
-        tuple(_records(visits, Visit)),
-        tuple(_records(events, Event)),
+        homes,
+        tuple(visit for (visit,) in visits),
+        tuple(event for (event,) in EVENTS.read(folder)),
         (settings.forgotten_changes, settings.forgotten_days),
-        _routes(folder / ROUTES, settings.nodes) if settings.nodes else {},
+        {name: Route(when, tuple(some)) for (name, when), some in nodes.items()},
         settings.together,
     )
-
-
-def _require_rows(table: Table, number: int, path: Path) -> None:
-    if len(table) != number:
-        raise InputError(f"has {len(table)} rows instead of {number}", path)
-
-
-def _parsers(kind: Any) -> dict[str, Parser]:
-    """Return the parsers of the columns of records."""
-    return {f.name: _parser(f) for f in _fields(kind)}
-
-
-def _fields(kind: Any) -> list[Field[Any]]:
-    """Return the fields of records that are columns of a table."""
-    return [f for f in fields(kind) if f.name != "seen_from"]
-
-
-def _parser(of: Field[Any]) -> Parser:
-    """Return the parser of a record's field."""
-    if of.name in DAYS:
-        return _days
-    if of.default == "":
-        return with_default(identifiers, "")
-    return identifiers if of.type == "str" else numbers
-
-
-def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-    """Parse days since 1970 within the range of valid dates."""
-    values = numbers(name, cells, rows, path)
-    for value, row in zip(values.tolist(), rows, strict=True):
-        if not FIRST_DAY <= value <= LAST_DAY:
-            raise InputError(
-                f"{name} is {value:g}, not a number of days from 1970 to a valid date", path, row
-            )
-    return values
-
-
-def _records(table: Table, kind: Any) -> Iterable[Any]:
-    """Yield the rows of a table as records, from the columns named like their fields."""
-    kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in _fields(kind)]
-    columns = [table[f.name].tolist() for f in _fields(kind)]
-    for row in zip(*columns, strict=True):
-        yield kind(*(cast(value) for cast, value in zip(kinds, row, strict=True)))
-
-
-def _with_views(
-    persistence: dict[str, LandmarkPersistence], path: Path, rows: int
-) -> dict[str, LandmarkPersistence]:
-    """Return the persistence of landmarks with `seen_from` from this number of rows."""
-    table = read_csv(path, {"landmark": identifiers, "sector": numbers, "distance": numbers})
-    _require_rows(table, rows, path)
-    sectors, distances = table["sector"], table["distance"]
-    table.require("sector", np.isin(sectors, np.arange(SECTORS)), "not a sector")
-    table.require("distance", distances >= 0, "less than nothing")
-    found = defaultdict[str, np.ndarray](lambda: np.zeros(SECTORS))
-    columns = table["landmark"].tolist(), sectors.astype(int).tolist(), distances.tolist()
-    for name, sector, distance in zip(*columns, strict=True):
-        found[name][sector] = distance
-    return {
-        n: replace(p, seen_from=tuple(found[n].tolist())) if n in found else p
-        for n, p in persistence.items()
-    }
-
-
-def _routes(path: Path, nodes: int) -> dict[str, Route]:
-    """Return the routes, which have this number of nodes in total."""
-    table = read_csv(path, {"route": identifiers, "taught": _days, **_parsers(Node)})
-    _require_rows(table, nodes, path)
-    table.require_angle("heading")
-    for name in ("sigma", "dwell"):
-        table.require(name, table[name] >= 0, "must not be negative, not {}")
-    for name in ("x", "y"):
-        table.require(
-            name,
-            np.abs(table[name]) <= MAX_COORDINATE,
-            f"must be at most {MAX_COORDINATE:g} m from home, not {{}}",
-        )
-    columns = table["route"].tolist(), table["taught"].tolist(), _records(table, Node)
-    routes = dict[str, tuple[float, list[Node]]]()
-    for name, when, node in zip(*columns, strict=True):
-        routes.setdefault(name, (when, []))[1].append(node)
-    return {name: Route(when, tuple(nodes)) for name, (when, nodes) in routes.items()}
-
-
-def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
-    """Return the homes with their home bearings."""
-    table = read_csv(
-        path,
-        {
-            "home": identifiers,
-            "landmark": identifiers,
-            "bearing": numbers,
-            "sigma": numbers_or_nan,
-        },
-        {"camera": identifiers_or_empty},
-    )
-    table.require_angle("bearing")
-    known = np.array([name in stored for name in table["home"]], bool)
-    table.require("home", known, f"must be in {HOMES}, not {{}}")
-    homes = {name: StoredHome(when, {}) for name, when in stored.items()}
-    cameras = table["camera"].tolist() if "camera" in table.columns else [""] * len(table)
-    columns = (table[c].tolist() for c in ("home", "landmark", "bearing", "sigma"))
-    for home, landmark, bearing, sigma, camera in zip(*columns, cameras, strict=True):
-        homes[home].seen[landmark] = HomeBearing(bearing, sigma, camera)
-    return homes
 
 
 def _covariance(path: Path, size: int) -> np.ndarray:
