@@ -14,8 +14,8 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, position_sigma
 from homeward.geometry.statistics import deviation
 from homeward.io.table import quoted
-from homeward.localizer.map.survey.factors import align
 from homeward.localizer.tunables import IMPROBABLE
+from homeward.places.joint_map import JointMap, aligned
 from homeward.places.place import Place
 
 MIN_LANDMARKS = 2
@@ -45,21 +45,18 @@ def align_place(place: Place, survey: KnownLandmarks, source: Path | None = None
     `InputError`, naming `source`, where fewer than two remain, or where the positions differ more
     than their uncertainties allow with a probability of 0.1 %.
     """
-    known = place.known(place.visits[-1].when)
-    names = [name for name in known.landmarks if name in survey.landmarks]
-    if len(names) < MIN_LANDMARKS:
+    here = place.aged(place.visits[-1].when).in_home_frame(place.origin)
+    positions = np.array([(mark.x, mark.y) for mark in survey.landmarks.values()]).ravel()
+    there = JointMap(tuple(survey.landmarks), (), positions, survey.joint_covariance)
+    here = here.marginal(there.names, ())
+    if len(here.names) < MIN_LANDMARKS:
         raise InputError(
-            f"has {len(names)} landmarks of the place {quoted(place.name)}; at least"
+            f"has {len(here.names)} landmarks of the place {quoted(place.name)}; at least"
             f" {MIN_LANDMARKS} are needed: `homeward place view` shows their ids",
             source,
         )
-    here, there = (
-        np.array([(k.landmarks[name].x, k.landmarks[name].y) for name in names])
-        for k in (known, survey)
-    )
-    covariance = _covariance(known, names) + _covariance(survey, names)
-    datum = align(there, here, covariance)
-    residuals = dict(zip(names, np.hypot(*datum.residual.T).tolist(), strict=True))
+    datum = aligned(here, there)
+    residuals = dict(zip(here.names, np.hypot(*datum.residual.T).tolist(), strict=True))
     residual = datum.residual.ravel()
     misfit = float(residual @ datum.information @ residual)
     if misfit > chdtri(residual.size - 3, IMPROBABLE):
@@ -72,10 +69,3 @@ def align_place(place: Place, survey: KnownLandmarks, source: Path | None = None
         )
     x, y, heading = datum.pose.tolist()
     return Alignment(Pose(x, y, float(wrap(heading))), datum.covariance, residuals)
-
-
-def _covariance(known: KnownLandmarks, names: list[str]) -> np.ndarray:
-    """Return the covariance of the coordinates of some landmarks, (2 k, 2 k) [m^2]."""
-    order = list(known.landmarks)
-    rows = (2 * np.array([order.index(n) for n in names])[:, None] + (0, 1)).ravel()
-    return np.asarray(known.joint_covariance[np.ix_(rows, rows)])

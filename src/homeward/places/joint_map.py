@@ -16,7 +16,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import position_sigma
 from homeward.geometry.se2 import between, compose, lever, rotation, sight
-from homeward.localizer.output.faces import align, rotated
+from homeward.localizer.output.faces import Datum, align, rotated
 
 DATUM_DOF = 3
 """Degrees of freedom of a rigid motion."""
@@ -89,21 +89,26 @@ class JointMap:
         covariance[at, at] += variance
         return replace(self, covariance=covariance)
 
-    def in_frame_of(self, pose: np.ndarray, covariance: np.ndarray) -> JointMap:
-        """Return the map in the frame of a pose (3,) with an independent error, (3, 3)."""
+    def in_frame_of(
+        self, pose: np.ndarray, covariance: np.ndarray, shared: np.ndarray | None = None
+    ) -> JointMap:
+        """Return the map in the frame of a pose (3,) with an error, (3, 3).
+
+        `shared` is the covariance of the map and the pose, (2 n + 3 h, 3); None: independent.
+        """
         mean, by_pose = self._transform(pose)
-        spread = self._turned(pose[2]) + by_pose @ covariance @ by_pose.T
+        spread = self._turned(pose[2], self._turned(pose[2], self.covariance).T)
+        spread += by_pose @ covariance @ by_pose.T
+        if shared is not None:
+            of_pose = self._turned(pose[2], shared) @ by_pose.T
+            spread += of_pose + of_pose.T
         return replace(self, mean=mean, covariance=0.5 * (spread + spread.T))
 
     def in_home_frame(self, home: str) -> JointMap:
         """Return the map in the frame of one of its homes, and without that home."""
         at = self.home_columns(home)
-        pose = self.mean[at]
-        mean, by_pose = self._transform(pose)
-        of_pose = self._turned(pose[2], self.covariance[:, at])
-        spread = self._turned(pose[2]) + by_pose @ self.covariance[np.ix_(at, at)] @ by_pose.T
-        spread += of_pose @ by_pose.T + by_pose @ of_pose.T
-        there = replace(self, mean=mean, covariance=0.5 * (spread + spread.T))
+        own = self.covariance[np.ix_(at, at)]
+        there = self.in_frame_of(self.mean[at], own, self.covariance[:, at])
         return there.marginal(self.names, [h for h in self.homes if h != home])
 
     def at_home(self, home: str) -> JointMap:
@@ -148,19 +153,13 @@ class JointMap:
         middle = np.append(self.positions.mean(axis=0), 0.0)
         return -self._transform(middle)[1]
 
-    def _turned(self, heading: float, columns: np.ndarray | None = None) -> np.ndarray:
-        """Return the covariance, or the rows of some `columns`, in a frame with a heading [rad]."""
+    def _turned(self, heading: float, rows: np.ndarray) -> np.ndarray:
+        """Return rows by coordinate, (2 n + 3 h, m), in a frame with a heading [rad]."""
         n, (c, s) = len(self.names), (np.cos(heading), np.sin(heading))
         first = np.concatenate([2 * np.arange(n), 2 * n + 3 * np.arange(len(self.homes))])
-
-        def rows(of: np.ndarray) -> np.ndarray:
-            turned, x, y = of.copy(), of[first], of[first + 1]
-            turned[first], turned[first + 1] = c * x + s * y, c * y - s * x
-            return turned
-
-        if columns is not None:
-            return rows(columns)
-        return rows(np.ascontiguousarray(rows(self.covariance).T))
+        turned, x, y = np.array(rows, order="C"), rows[first], rows[first + 1]
+        turned[first], turned[first + 1] = c * x + s * y, c * y - s * x
+        return turned
 
     def _transform(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean in the frame of a pose, and its derivative by the pose."""
@@ -216,13 +215,17 @@ class JointMap:
         return JointMap(self.names, (*self.homes, home), mean, 0.5 * (spread + spread.T))
 
 
+def aligned(place: JointMap, visit: JointMap) -> Datum:
+    """Return the datum of a place in a visit's frame, from two or more landmarks, all in both."""
+    order, positions = visit.columns(place.names), place.positions
+    there, own = visit.mean[order].reshape(-1, 2), visit.covariance[np.ix_(order, order)]
+    turn = rotation(align(there, positions, place.covariance + own).pose[2])[:2, :2]
+    return align(there, positions, place.covariance + rotated(own, turn.T))
+
+
 def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarray:
     """Return the pose (3,) of a place's frame in a visit's, from two or more common landmarks."""
-    mine = place.marginal(names, ()).with_vague_datum()
-    order = visit.columns(mine.names)
-    there, own = visit.mean[order].reshape(-1, 2), visit.covariance[np.ix_(order, order)]
-    turn = rotation(align(there, mine.positions, mine.covariance).pose[2])[:2, :2]
-    return align(there, mine.positions, mine.covariance + rotated(own, turn.T)).pose
+    return aligned(place.marginal(names, ()).with_vague_datum(), visit).pose
 
 
 def fused(

@@ -17,7 +17,7 @@ from homeward.localizer.map.map import Map
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import tested
-from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated
+from homeward.localizer.map.survey.factors import Datum, SurveyFactors, align, rotated
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import ProcessNoise
 from homeward.localizer.motions import (
@@ -36,6 +36,7 @@ from homeward.localizer.reference.factors import bearing_residuals, cameras
 from homeward.localizer.tunables import FIXED_TIME_CONSTANT_S, NEGLIGIBLE_CALIBRATION
 
 __all__ = [
+    "Datum",
     "EstimatedCalibration",
     "MapSnapshot",
     "PredictedBearings",
