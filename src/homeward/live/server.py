@@ -137,7 +137,9 @@ class Server:
 
         `InputError` where an address cannot be opened, or needs a token.
         """
-        for where in filter(None, (tcp, websocket)):
+        both = (tcp, self._tcp), (websocket, self._websocket)
+        given = [(where, listen) for where, listen in both if where is not None]
+        for where, _ in given:
             if self.token is None and not where.is_loopback:
                 raise InputError(
                     f"{where.host}: other machines could connect; set a token in HOMEWARD_TOKEN"
@@ -153,9 +155,11 @@ class Server:
                 loop.add_signal_handler(sign, ended.set)
         worker = threading.Thread(target=self._process, args=(loop,), daemon=True)
         async with contextlib.AsyncExitStack() as stack:
-            opening = [self._tcp(tcp)] if tcp else []
-            opening += [self._websocket(websocket)] if websocket else []
-            self.ports += [await stack.enter_async_context(listening) for listening in opening]
+            for where, listen in given:
+                try:
+                    self.ports.append(await stack.enter_async_context(listen(where)))
+                except OSError as error:
+                    raise cannot_listen(where, error) from error
             worker.start()
             ticking = asyncio.create_task(self._tick())
             ticking.add_done_callback(lambda _: ended.set())
@@ -333,34 +337,38 @@ class Server:
             await asyncio.sleep(0.001)
         self._end()
 
+    async def _talk(self, lines: AsyncIterator[Line], client: _Client) -> None:
+        """Serve a client from its hello until it disconnects."""
+        try:
+            first = await asyncio.wait_for(anext(lines, b""), HELLO_S)
+            if await self._welcome(first, client):
+                await self._converse(lines, client)
+            else:
+                await asyncio.sleep(0.01)  # send the reason
+        except (OSError, TimeoutError):  # disconnected, or silent
+            pass
+        except asyncio.CancelledError:  # the server ends; Python 3.11 would print a traceback
+            if not self._done:
+                raise
+        finally:
+            self._clients.discard(client)
+
     @contextlib.asynccontextmanager
     async def _tcp(self, where: Address) -> AsyncIterator[int]:
         """Listen for JSON lines."""
 
-        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             def send(line: str) -> None:
                 if not writer.transport.is_closing():  # asyncio would print a warning
                     writer.write(line.encode())
 
-            lines = tcp_lines(reader)
             client = _Client(send, writer.transport.get_write_buffer_size, writer.close)
             try:
-                first = await asyncio.wait_for(anext(lines, b""), HELLO_S)
-                if await self._welcome(first, client):
-                    await self._converse(lines, client)
-            except (OSError, TimeoutError):  # disconnected, or silent
-                pass
-            except asyncio.CancelledError:  # the server ends; Python 3.11 would print a traceback
-                if not self._done:
-                    raise
+                await self._talk(tcp_lines(reader), client)
             finally:
-                self._clients.discard(client)
                 writer.close()
 
-        try:
-            server = await asyncio.start_server(serve, where.host, where.port, limit=MAX_LINE)
-        except OSError as error:
-            raise cannot_listen(where, error) from error
+        server = await asyncio.start_server(talk, where.host, where.port, limit=MAX_LINE)
         try:
             yield server.sockets[0].getsockname()[1]
         finally:
@@ -375,8 +383,6 @@ class Server:
         """
         from websockets.asyncio.server import serve
         from websockets.exceptions import ConnectionClosed
-
-        origins = None if self.token is not None else [None]
 
         async def talk(socket: Any) -> None:
             socket.transport.max_size = WEBSOCKET_CHUNK  # asyncio reads 256 kB by default
@@ -393,33 +399,19 @@ class Server:
                     await socket.send(line.rstrip("\n"))
                     unread[0] -= len(line)
 
-            client = _Client(enqueue, lambda: unread[0], socket.transport.abort)
             sending = asyncio.create_task(send())
-            try:
-                if not await self._welcome(await asyncio.wait_for(socket.recv(), HELLO_S), client):
-                    await asyncio.sleep(0.01)  # send the reason
-                    return
-                await self._converse(aiter(socket), client)
-            except (ConnectionClosed, TimeoutError):
-                pass
-            finally:
-                self._clients.discard(client)
-                sending.cancel()
-                with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
-                    await sending
+            with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
+                try:
+                    client = _Client(enqueue, lambda: unread[0], socket.transport.abort)
+                    await self._talk(aiter(socket), client)
+                finally:
+                    sending.cancel()
+                await sending
 
-        try:
-            async with serve(
-                talk,
-                where.host,
-                where.port,
-                origins=origins,
-                max_size=MAX_LINE,
-                close_timeout=CLOSE_S,
-            ) as server:
-                yield server.sockets[0].getsockname()[1]
-        except OSError as error:
-            raise cannot_listen(where, error) from error
+        origins = None if self.token is not None else [None]
+        options: Any = {"origins": origins, "max_size": MAX_LINE, "close_timeout": CLOSE_S}
+        async with serve(talk, where.host, where.port, **options) as server:
+            yield server.sockets[0].getsockname()[1]
 
 
 def cannot_listen(where: Address, error: OSError) -> InputError:
