@@ -6,7 +6,7 @@ import math
 
 from homeward.control.goals import STAND, Belief, Goal, GoalController, GoalState
 from homeward.control.limits import Limits
-from homeward.control.watchdog import Blind, DrivingTime, Fault
+from homeward.control.watchdog import DrivingTime, Fault, FaultCheck, Faults
 from homeward.estimator import Status
 from homeward.geometry.frames import Twist, position_sigma
 
@@ -24,10 +24,14 @@ MAX_STEP_S = 0.1
 
 
 class Driver:
-    """Drives to a goal within limits. Times are from a steady clock [s]."""
+    """Drives to a goal within limits, also that of the time without a landmark in view.
 
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
+    Times are from a steady clock [s].
+    """
+
+    def __init__(self, limits: Limits, max_unseen_s: float = math.inf) -> None:
+        self._limits, self._max_unseen_s = limits, max_unseen_s
+        self._faults = Faults()
         self.state, self.reason = GoalState.IDLE, ""
         self.value: float | None = None
         """The measured quantity behind the reason, if any."""
@@ -74,19 +78,11 @@ class Driver:
             self.value = None
             self._stand(GoalState.FAILED, reason, now)
 
-    def command(
-        self,
-        now: float,
-        belief: Belief,
-        faults: tuple[Fault, ...] = (),
-        blind: Blind | None = None,
-        unseen_s: float = 0.0,
-    ) -> Twist | None:
+    def command(self, now: float, belief: Belief, faults: tuple[Fault, ...] = ()) -> Twist | None:
         """Return the command at `now` [s], or None to send none, given faults of the sensors.
 
-        `unseen_s` is the time for which the robot drove without a landmark in view [s]. A `blind`
-        robot without other faults turns on the spot until it is not, at most once round; so does
-        one that has lost its pose on this drive.
+        A robot without a landmark in view for too long, but without other faults, turns on the spot
+        until it sees one, at most once round; so does one that has lost its pose on this drive.
         """
         self._unlocalised.add(now - self._last, self._twist, self.vy)
         dt, self._last = min(now - self._last, MAX_STEP_S), now
@@ -95,23 +91,20 @@ class Driver:
         if not self.active:
             over = self.state is GoalState.IDLE or now - self._since > AFTERWARDS_S
             return None if over else STAND
-        back = None if blind is None or faults or belief.pose is None else blind.back
-        if blind is not None:
-            faults += (blind.fault,)
+        blind = None if faults else self._blind(now, belief)
         by_odometry = self._controller is not None and self._controller.by_odometry
         fault = self.hindrance(now, None if by_odometry else belief, faults)
         if by_odometry and belief.pose is None:
             fault = fault or Fault("no odometry")
-        pose_fault = None if faults else fault
         hindrance, self.value = fault or ("", None)
         if self._controller is None:
             return self._hold(hindrance, now, self._limits.patience)
         output = self._controller.step(now, belief, hindrance)
-        is_pose_fault = pose_fault is not None and output.reason == hindrance
+        is_pose_fault = bool(fault) and not (faults or blind) and output.reason == hindrance
         self.is_lost = output.is_lost or is_pose_fault
         if output.state is GoalState.HELD and self._limits.search and self._looked < math.tau:
-            if back is not None:
-                return self._look(back, f"{output.reason}; turning to see one", dt, now)
+            if blind is not None and belief.pose is not None:
+                return self._look(belief.back, f"{output.reason}; turning to see one", dt, now)
             if is_pose_fault and self._is_lost_for_long(now):
                 return self._look(0.0, f"{output.reason}; turning to find it", dt, now)
         if output.state is GoalState.HELD:
@@ -126,7 +119,7 @@ class Driver:
         self.reason = output.reason
         wanted, vy = output.twist, output.vy
         lost_s = self._unlocalised.seconds
-        slow_s = max(unseen_s, lost_s) if math.isfinite(lost_s) else unseen_s
+        slow_s = max(belief.unseen_s, lost_s if math.isfinite(lost_s) else 0.0)
         if slow_s > SLOW_S and not by_odometry:
             speed = math.hypot(wanted.v, vy)
             slower = min(1.0, SLOW_SHARE * self._limits.speed / speed) if speed else 1.0
@@ -162,6 +155,8 @@ class Driver:
         """Return why the robot could not drive at `now` [s], also for its pose if it needs one."""
         if faults or belief is None:
             return faults[0] if faults else None
+        if (blind := self._blind(now, belief)) is not None:
+            return blind
         limits = self._limits
         if belief.pose is None or belief.covariance is None:
             return Fault(f"lost, no pose: {belief.status.value}")
@@ -174,6 +169,12 @@ class Driver:
             limit = self._accurate.largest_sigma
             return Fault(f"lost, too uncertain: sigma of more than {limit:g} m", sigma)
         return None
+
+    def _blind(self, now: float, belief: Belief) -> Fault | None:
+        """Return the fault that the robot drove too long without a landmark in view, if it did."""
+        unseen_s, limit = belief.unseen_s, self._max_unseen_s
+        fault = Fault(f"no landmark in view for more than {limit:g} s", unseen_s)
+        return next(iter(self._faults.active([FaultCheck(fault, unseen_s > limit)], now)), None)
 
     def _hold(self, why: str, now: float, patience: float) -> Twist:
         """Stop at once, and give up after `patience` [s]."""

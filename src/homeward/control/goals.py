@@ -52,6 +52,10 @@ class Belief(NamedTuple):
     """(3, 3)"""
     seen: Mapping[str, float] = NO_SIGHTINGS
     """Direction [rad] in the frame of the pose, of each landmark in the last frame."""
+    unseen_s: float = 0.0
+    """Time for which the robot drove without a landmark in view [s]."""
+    back: float = 0.0
+    """Angle to the heading that it had with a landmark in view, wrapped [rad]."""
 
 
 class ControlOutput(NamedTuple):

@@ -55,14 +55,6 @@ class Faults:
         return tuple(found.values())
 
 
-class Blind(NamedTuple):
-    """A robot that has driven for too long without a landmark in view."""
-
-    fault: Fault
-    back: float
-    """Angle to the heading that it had with a landmark in view, wrapped [rad]."""
-
-
 class DrivingTime:
     """Time since an event [s], without turns on the spot, which do not change the position."""
 

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator
 from homeward.control.driver import Driver
 from homeward.control.goals import STAND, Belief, GoalState, TurnGoal
 from homeward.control.watchdog import (
-    Blind,
     DrivingTime,
     Fault,
     FaultCheck,
@@ -68,10 +67,10 @@ class Session:
         known = robot.uncorrected, homes or {}, place, settings.smoothed_lag
         self.localisation = Localisation(settings.estimator, *known)
         self._late, self._corrections = robot.bearings_late or 0.0, robot.odometry
-        noise = robot.odometry
-        self._is_calibrated = None not in (noise.speed_sigma, noise.turn_sigma)
-        """Whether the odometry noise is given, so that the robot may drive on odometry alone."""
-        self.driver = Driver(limits)
+        max_unseen_s = limits.coast
+        if None not in (robot.odometry.speed_sigma, robot.odometry.turn_sigma):
+            max_unseen_s += NO_BEARINGS_S  # localised by odometry, and then not for `coast`
+        self.driver = Driver(limits, max_unseen_s)
         self._accurate = limits.accuracy()
         self._turn_home: msg.TurnHome | None = None
         """Message that began the turn which the robot drives, if it does."""
@@ -279,23 +278,20 @@ class Session:
         if self._refused:
             driver.fail(self._refused, now)
             self._refused = ""
-        belief, turn = Belief(Status.WAITING, None, None), self._turn_home
+        turn, was_active = self._turn_home, driver.active
+        belief = Belief(Status.WAITING, None, None, unseen_s=self._unseen.seconds)
         if turn is not None:
             here = self._odometry_pose(self._twists.newest) if self._twists else None
-            was_active = driver.active
-            twist = driver.command(now, belief._replace(pose=here), self.faults(now))
-            if not driver.active:
-                self._turn_home = None
-            if was_active and not driver.active:  # home is stored after a full turn only
+            belief = Belief(Status.WAITING, here, None)
+        elif self._goal_message is None:
+            driver.aim(self.localisation.goal)
+            belief = self.belief(now)
+        self._twist = (twist := driver.command(now, belief, self.faults(now))) or STAND
+        if turn is not None and not driver.active:
+            self._turn_home = None
+            if was_active:  # home is stored after a full turn only
                 is_complete = driver.state is GoalState.TURNED
                 self._enqueue(msg.StoreHome(name=turn.name) if is_complete else msg.Cancel())
-        else:
-            if self._goal_message is None:
-                driver.aim(self.localisation.goal)
-                belief = self.belief(now)
-            about = self.faults(now), self._blind(now), self._unseen.seconds
-            twist = driver.command(now, belief, *about)
-        self._twist = twist or STAND
         if twist is None:
             return None
         return msg.Command(
@@ -311,11 +307,14 @@ class Session:
     def belief(self, now: float) -> Belief:
         """Return the estimate at `now` [s]: the last answer, extrapolated by odometry."""
         estimate, odom = self.localisation.fix
+        unseen_s = self._unseen.seconds
         if odom is None:
-            return Belief(estimate.status, None, None)
+            return Belief(estimate.status, None, None, unseen_s=unseen_s)
         since = min(max(now - self._last_odometry, 0.0), STOPS_WITHIN_S)
         here = self._odometry_pose(self._twists.newest + since)
-        return Belief(estimate.status, compose(odom, here), estimate.covariance)
+        back = float(wrap(self._heading_seen - here.heading))
+        pose, spread = compose(odom, here), estimate.covariance
+        return Belief(estimate.status, pose, spread, unseen_s=unseen_s, back=back)
 
     def faults(self, now: float) -> tuple[Fault, ...]:
         """Return the reasons for which the robot must not drive."""
@@ -340,18 +339,6 @@ class Session:
             yield FaultCheck(fault if is_known else Fault(f"no {what} yet"), is_late, is_known)
         yield FaultCheck(Fault(Reason.FROZEN.words), self._frozen.is_frozen)
 
-    def _blind(self, now: float) -> Blind | None:
-        """Return the fault that the robot drove too long without a landmark in view, if it did."""
-        limit = self.settings.limits.coast
-        if self._is_calibrated:  # localised by odometry for a time, and not localised for `coast`
-            limit += NO_BEARINGS_S
-        unseen = Fault(f"no landmark in view for more than {limit:g} s", self._unseen.seconds)
-        found = self._faults.active([FaultCheck(unseen, self._unseen.seconds > limit)], now)
-        if not found:
-            return None
-        back = float(wrap(self._heading_seen - self._odometry_pose(self._twists.newest).heading))
-        return Blind(found[0], back)
-
     def is_sure(self, now: float) -> bool:
         """Return whether the pose can be relied on at `now` [s].
 
@@ -370,9 +357,8 @@ class Session:
         counts = dict(self.counts)
         if estimator is not None:
             counts |= {why.words: n for why, n in dict(estimator.counts.rejected).items()}
-        faults, blind = self.faults(now), self._blind(now)
-        hindered = faults if blind is None else (*faults, blind.fault)
-        hindrance = self.driver.hindrance(now, self.belief(now), hindered)
+        faults = self.faults(now)
+        hindrance = self.driver.hindrance(now, self.belief(now), faults)
         accuracy = estimate.accuracy
         sigma = math.nan if accuracy is None else accuracy.position
         work, self._work_s = self._work_s, 0.0
