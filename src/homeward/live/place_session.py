@@ -27,7 +27,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import VERIFIED
 from homeward.places import files
 from homeward.places.joint_map import JointMap
-from homeward.places.place import DAY_S, Place
+from homeward.places.place import DAY_S, Place, StoredHome
 from homeward.places.route import Route, map_of_estimates, route_of, taught_along
 from homeward.places.visit_data import VisitData, collect_visit_along, require_name
 from homeward.places.visiting import first_place, merged
@@ -73,7 +73,7 @@ class PlaceSession:
         self._is_merged = False
         """Whether the newest version that this session wrote contains a part of this visit."""
         self._samples, self._poses = Samples(), array("d")
-        self._stored: dict[str, tuple[Estimate, dict[str, HomeBearing]]] = {}
+        self._stored: dict[str, tuple[StoredHome, Estimate]] = {}
         self._routes: dict[str, tuple[Route, JointMap]] = {}
         self._taught_from = 0
         """Index in `_poses` of the begin of the route that is being taught."""
@@ -101,7 +101,7 @@ class PlaceSession:
         """Return the pose of a home in the frame of `first`; `InputError` for an unknown home."""
         if name == first:
             return Pose(0.0, 0.0, 0.0)
-        if name in self._stored and (pose := self._stored[name][0].pose) is not None:
+        if name in self._stored and (pose := self._stored[name][1].pose) is not None:
             return pose
         if self.place is None or name not in self.place.homes:
             there = ", ".join((first, *(n for n in self.homes if n != first)))
@@ -125,7 +125,7 @@ class PlaceSession:
         require_name("home", name, (first, *self.homes))
         self._require_localised(estimate, f"home {quoted(name)} cannot be stored")
         bearings = {n: HomeBearing(b, camera=seen.camera) for n, b in seen.bearings.items()}
-        self._stored[name] = replace(estimate, innovations=()), bearings
+        self._stored[name] = StoredHome(self.when, bearings), replace(estimate, innovations=())
         return f"home {quoted(name)} stored, {count(len(seen.bearings), 'landmark')} in view"
 
     @property
@@ -198,9 +198,7 @@ class PlaceSession:
 
     def _with_stored(self, visit: VisitData) -> VisitData:
         """Return a visit with the homes and routes that were stored on it."""
-        for name, (answer, seen) in self._stored.items():
-            visit = visit.store_home(name, answer, seen)
-        return replace(visit, routes=dict(self._routes))
+        return replace(visit, homes=dict(self._stored), routes=dict(self._routes))
 
     def merge(self, localizer: Localizer, drive: Drive, home: str, is_last: bool = False) -> str:
         """Merge the current visit into the place, and write it; return the result in words.
@@ -221,10 +219,8 @@ class PlaceSession:
         require_enough(visit.map)
         visit = self._with_stored(visit)
         after = self._save(localizer, visit, home)
-        lost = [f" Home {name} was not stored." for name in self._stored if name not in after.homes]
-        lost += [f" Route {n} was not stored." for n in self._routes if n not in after.routes]
         self._after, self.saved = after, True
-        return visit_words(after) + "".join(lost)
+        return visit_words(after) + "".join(f" The {words}." for words in visit.not_stored(after))
 
     def _save(self, localizer: Localizer, visit: VisitData, home: str) -> Place:
         """Merge the visit into the place, write it, and return it."""

@@ -18,7 +18,7 @@ from homeward.geometry.se2 import compose
 from homeward.io.table import is_identifier, quoted
 from homeward.localizer.localizer import Localizer
 from homeward.places.joint_map import JointMap
-from homeward.places.place import StoredHome
+from homeward.places.place import Place, StoredHome
 from homeward.places.route import Route, map_of_estimates, taught
 from homeward.places.views import Views, VisitFrames
 from homeward.track import Track
@@ -75,6 +75,12 @@ class VisitData:
         require_name("route", name, self.routes)
         route = taught(track, self.when), map_of_estimates(track.landmarks)
         return replace(self, routes={**self.routes, name: route})
+
+    def not_stored(self, after: Place) -> list[str]:
+        """Describe the homes and routes that the place after the visit does not have."""
+        kinds = ("home", self.homes, after.homes), ("route", self.routes, after.routes)
+        lost = [(what, n) for what, own, there in kinds for n in own if n not in there]
+        return [f"{what} {quoted(name)} was not stored" for what, name in lost]
 
 
 def require_name(what: str, name: str, there: Collection[str]) -> None:

@@ -138,11 +138,4 @@ def save_visit(
         save_place(after, run.place, 0)
     else:
         after, _ = update_place(run.place, lambda known: merged(known, visit))
-    homes, routes = (
-        (store.home, visit.homes, after.homes),
-        (store.route, visit.routes, after.routes),
-    )
-    for what, (name, kept, stored) in (("home", homes), ("route", routes)):
-        if name in kept and name not in stored:
-            lost.append(f"{what} {quoted(str(name))} was not stored")
-    return after, lost
+    return after, lost + visit.not_stored(after)

@@ -272,8 +272,7 @@ class SharedPlace:
             result = f"the visit was not merged into the place: {error}"
         else:
             result = visit_words(self.place)
-            lost = {**data.homes, **data.routes}.keys() - {*self.place.homes, *self.place.routes}
-            result += "".join(f" {n} was not stored." for n in sorted(lost))
+            result += "".join(f" The {words}." for words in data.not_stored(self.place))
         if refuted:
             result += f" Refuted by other robots: {listing(refuted, 8)}."
         self._record(robot, len(outcomes), len(refuted), visit.claims is None)
