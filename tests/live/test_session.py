@@ -351,6 +351,18 @@ def test_home_is_stored_only_at_rest_with_landmarks_in_view():
     assert session.localisation.home == "dock"
 
 
+def test_an_outlier_at_home_is_left_out_and_reported():
+    session = Session()
+    for k in range(20):
+        seen = {"a": 1.5 if k == 15 else 0.5, "b": 1.5, "c": -2.5}
+        session.receive(OdometryIn(t=0.1 * k, v=0.0, omega=0.0), 0.1 * k)
+        session.receive(BearingsIn(t=0.1 * k, bearings=seen), 0.1 * k)
+    session.receive(StoreHome(), 2.0)
+    text = next(out.text for out in session.process() if isinstance(out, EventOut))
+    assert "1 bearings at home left out, since they disagree" in text
+    assert session.localisation.homes["home"]["a"].bearing == pytest.approx(0.5)
+
+
 def test_what_was_seen_before_a_clock_was_set_back_is_not_home():
     session = Session()
     for since, bearing, speed in ((100.0, -1.0, 0.3), (2.0, 0.5, 0.0)):

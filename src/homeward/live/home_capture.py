@@ -7,9 +7,8 @@ from collections import deque
 from operator import itemgetter
 from typing import NamedTuple
 
-import numpy as np
-
-from homeward.drives.drive import HomeBearing
+from homeward.drives.drive import HomeBearing, Samples
+from homeward.drives.home.rest import rest_directions
 from homeward.drives.home.spin import HomeScan, spin_summary
 from homeward.drives.settings import DriveSettings
 from homeward.drives.settings import Start as StartPrior
@@ -37,7 +36,7 @@ class CapturedHome(NamedTuple):
     start: StartPrior
     """Pose of the robot now, in the home frame."""
     words: str
-    """Description of a turn; empty after a capture at rest."""
+    """Description of a turn, or of the bearings left out at rest; empty if there were none."""
 
 
 class HomeCapture:
@@ -99,7 +98,7 @@ class HomeCapture:
         return self._at_rest() if scan is None else _turned(scan)
 
     def _at_rest(self) -> CapturedHome:
-        """Return the mean bearings of the last `CAPTURE_S`."""
+        """Return the mean bearings of the last `CAPTURE_S`, without outliers."""
         since = max((t for t, _ in self._lately), default=math.inf) - CAPTURE_S
         views = [view for t, view in self._lately if t > since]
         if not any(v.bearings for v in views):
@@ -108,17 +107,13 @@ class HomeCapture:
             raise InputError(
                 f"home cannot be stored: the robot must stand still for {CAPTURE_S:g} s"
             )
-        seen: dict[str, dict[str, list[float]]] = {}
+        seen = Samples()
         for view in views:
-            for i, b in view.bearings.items():
-                seen.setdefault(i, {}).setdefault(view.camera, []).append(b)
+            seen.add_bearings(view.t, view.bearings, camera=view.camera)
+        home, remarks = rest_directions(seen.sightings())
         start = StartPrior.about(Polar(MIN_R, 0.0, 0.0), *SIGMAS_AT_REST)
-        home = dict[str, HomeBearing]()
-        for i, by_camera in seen.items():
-            camera, bearings = max(by_camera.items(), key=lambda each: len(each[1]))
-            mean = float(np.angle(np.exp(1j * np.array(bearings)).mean()))
-            home[i] = HomeBearing(mean, camera=camera)
-        return CapturedHome(home, start, "")
+        words = "; ".join(f"{number} {text}" for text, number in remarks.items())
+        return CapturedHome(home, start, words)
 
 
 def _turned(scan: HomeScan) -> CapturedHome:
