@@ -1,15 +1,18 @@
 """Views: a landmark is missed only where it was seen before."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from visited import new_place, room, visit_data
 
+from homeward.drives.settings import DriveSettings
 from homeward.geometry.frames import Pose
 from homeward.places.files import load_place, save_place
 from homeward.places.joint_map import JointMap
 from homeward.places.views import SECTORS, Views, VisitFrames
+from homeward.places.visit_data import visit_frames
 from homeward.places.visiting import merged
 
 HOME = Pose(0.0, 0.0, 0.0)
@@ -61,12 +64,25 @@ def test_frames_may_be_added_one_by_one():
     frames, one = around(1.4, ["near"]), Views()
     both = frames.views(joint(), HOME)
     for k in range(len(frames.seen)):
-        about = frames.sigmas[k : k + 1], frames.seen[k : k + 1], 2.0
-        one.add(joint(), frames.cameras[k : k + 1], *about)
+        about = frames.seen[k : k + 1], 2.0, frames.sigmas[k : k + 1]
+        one.add(joint(), VisitFrames(frames.cameras[k : k + 1], *about), HOME)
     assert np.array_equal(one.seen["near"], both.seen["near"])
     assert both.seen["near"].shape == (SECTORS,)
     assert both.in_sight(one.seen) == one.in_sight(one.seen)
     assert both.in_sight(one.seen)[1] == 1.0
+
+
+def test_a_landmark_behind_is_in_view_of_a_rear_camera_only():
+    settings = DriveSettings(
+        sensor={"x": 0.1, "field_of_view": 1.0}, cameras={"rear": {"x": -0.2, "yaw": math.pi}}
+    )
+    localizer = SimpleNamespace(mount=None)
+    poses = np.array(2 * [(4.0, 0.0, 0.0, 0.01)])
+    seen = [["far"], ["near"]], ["", "rear"]
+    views = visit_frames(localizer, settings, poses, *seen).views(joint(), HOME)
+    for name, at in (("far", 6.0 - 4.1), ("near", 3.8 - 2.0)):
+        distances = views.passed[name][np.isfinite(views.passed[name])]
+        assert distances == pytest.approx([at], abs=0.01)
 
 
 def test_a_place_keeps_the_directions_from_which_landmarks_were_seen(tmp_path):

@@ -45,25 +45,24 @@ class Views:
     """By landmark that was seen, (SECTORS,): maximum distance at which it was [m], or 0."""
     _distances: list[float] = field(default_factory=list)
 
-    def add(
+    def add(self, places: JointMap, frames: VisitFrames, origin: Pose) -> None:
+        """Add frames; `origin` is the pose of their home in the frame of the place."""
+        step, number = max(MAX_PAIRS // max(len(places.names), 1), 1), len(frames.seen)
+        cameras = compose(np.array(origin), frames.cameras)
+        sigmas = np.zeros(number) if frames.sigmas is None else frames.sigmas
+        half = math.pi if frames.field_of_view is None else 0.5 * frames.field_of_view
+        for some in (slice(k, k + step) for k in range(0, number, step)):
+            self._add(places, cameras[some], sigmas[some], frames.seen[some], half)
+
+    def _add(
         self,
         places: JointMap,
         cameras: np.ndarray,
         sigmas: np.ndarray,
         seen: Sequence[Collection[str]],
-        field_of_view: float | None,
+        half: float,
     ) -> None:
-        """Add m frames: poses of the camera (m, 3) in the frame of a place, and landmarks `seen`.
-
-        `sigmas` (m,) are the standard deviations of the positions [m]; NaN for a pose that is not
-        certain. `field_of_view` [rad] is None if it is unknown.
-        """
-        step = max(MAX_PAIRS // max(len(places.names), 1), 1)
-        if len(seen) > step:
-            for k in range(0, len(seen), step):
-                some = slice(k, k + step)
-                self.add(places, cameras[some], sigmas[some], seen[some], field_of_view)
-            return
+        """Add some frames; `half` is half of the field of view [rad]."""
         index = {name: i for i, name in enumerate(places.names)}
         saw = np.zeros((len(seen), len(places.names)), bool)
         for row, names in enumerate(seen):
@@ -74,7 +73,6 @@ class Views:
         self._distances += distances[saw & is_certain].tolist()
         del self._distances[:-MAX_DISTANCES]
         reach = np.quantile(self._distances, RANGE_QUANTILE) if self._distances else 0.0
-        half = math.pi if field_of_view is None else 0.5 * field_of_view
         errors = INLIER * np.hypot(sigmas[:, None], places.sigmas)
         around = errors / np.maximum(distances, MIN_DISTANCE)
         inside = (np.abs(wrap(there.bearing)) + around < half) | (half >= math.pi)
@@ -127,12 +125,10 @@ class VisitFrames:
     field_of_view: float | None
     """[rad]"""
     sigmas: np.ndarray | None = None
-    """(m,): standard deviations of the positions [m], NaN if not localised; None: all exact."""
+    """(m,): standard deviations of the positions [m], NaN if not certain; None: all exact."""
 
     def views(self, places: JointMap, origin: Pose) -> Views:
         """Return the views of a place; `origin` is the pose of the drive's home in its frame."""
-        found, sigmas = Views(), self.sigmas
-        sigmas = np.zeros(len(self.seen)) if sigmas is None else sigmas
-        cameras = compose(np.array(origin), self.cameras)
-        found.add(places, cameras, sigmas, self.seen, self.field_of_view)
+        found = Views()
+        found.add(places, self, origin)
         return found

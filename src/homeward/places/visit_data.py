@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing
+from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import NO_BEARINGS_S, Estimate, Status
 from homeward.geometry.frames import Pose, position_sigma
@@ -140,19 +141,32 @@ def collect_visit_along(
 
     `poses` (m, 4) are x, y, heading, and the position's standard deviation, NaN unless localised.
     """
+    good = np.flatnonzero(np.isfinite(poses[:, 0])).tolist()
     seen = [list(now) for _, now, _ in drive.sightings.stamps()]
-    good = np.isfinite(poses[:, 0])
-    sensor = localizer.mount or drive.settings.sensor.pose
-    poses, sigmas = poses[good, :3], poses[good, 3]
-    mounts = np.broadcast_to(np.array(sensor), (len(seen), 3))
-    offsets = drive.settings.offsets([*drive.sightings.cameras()])
-    mounts = mounts if offsets is None else compose(mounts, offsets)
-    known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
-    fov = drive.settings.sensor.field_of_view
-    frames = VisitFrames(compose(poses, mounts[good]), known, fov, sigmas)
+    cameras = list(drive.sightings.cameras())
+    known = [seen[i] for i in good], [cameras[i] for i in good]
+    frames = visit_frames(localizer, drive.settings, poses[good], *known)
     together = drive.settings.together
     found = drive.name, fingerprint(drive), when, own_map(localizer), frames, home
     return VisitData(*found, together=together)
+
+
+def visit_frames(
+    localizer: Localizer,
+    settings: DriveSettings,
+    poses: np.ndarray,
+    seen: Sequence[Collection[str]],
+    cameras: Sequence[str],
+) -> VisitFrames:
+    """Return the frames at m poses of a robot, with the names of their cameras.
+
+    `poses` (m, 4) are as of `collect_visit_along`.
+    """
+    mounts = np.broadcast_to(np.array(localizer.mount or settings.sensor.pose), (len(seen), 3))
+    offsets = settings.offsets(cameras)
+    mounts = mounts if offsets is None else compose(mounts, offsets)
+    fov = settings.sensor.field_of_view
+    return VisitFrames(compose(poses[:, :3], mounts), seen, fov, poses[:, 3])
 
 
 def own_map(localizer: Localizer) -> JointMap:

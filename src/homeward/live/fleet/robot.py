@@ -16,9 +16,8 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
-from homeward.geometry import se2
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, compose
+from homeward.geometry.frames import compose
 from homeward.io.settings import parsed
 from homeward.io.table import quoted
 from homeward.io.writing import state_folder
@@ -58,7 +57,7 @@ from homeward.live.place_session import (
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import DAY_S, Place
 from homeward.places.views import Views
-from homeward.places.visit_data import VisitData, fingerprint, own_map
+from homeward.places.visit_data import VisitData, fingerprint, own_map, visit_frames
 
 SHARE_S, CHANGE_S = 3.0, 1.0
 """Interval at which a robot sends its visit, and that in the `SHARE_S` after a change of its map
@@ -254,7 +253,7 @@ class SharedPlaceSession(PlaceSession):
         if self._last is not None:
             self._link.share(self._last.model_copy(update={"ended": True}))
             self._link.visit, self._last = secrets.token_hex(8), None
-        self._frames = deque[tuple[Pose, float, list[str]]](maxlen=MAX_FRAMES)
+        self._frames = deque[tuple[tuple[float, ...], list[str], str]](maxlen=MAX_FRAMES)
         self._views, self._frame_at, self._newest = Views(), -1e300, 0.0
         self._fits, self._shared_at, self._began = Fits(), -1e300, math.nan
 
@@ -282,7 +281,8 @@ class SharedPlaceSession(PlaceSession):
         if estimate.pose is None or abs(message.t - self._frame_at) < FRAME_S:
             return
         self._frame_at = message.t
-        self._frames.append((estimate.pose, localised_sigma(estimate), list(message.bearings)))
+        pose = *estimate.pose, localised_sigma(estimate)
+        self._frames.append((pose, list(message.bearings), message.camera))
 
     def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
         """Send the visit while localised, every `CHANGE_S` after a change, else `SHARE_S`."""
@@ -319,14 +319,11 @@ class SharedPlaceSession(PlaceSession):
         assert self.place is not None
         own, together = own_map(localizer), drive.settings.together
         require_enough(own := own.marginal({*own.names} - self._fits.outdated(together)))
-        sensor = drive.settings.sensor
         if self._frames:
-            poses, sigmas, seen = zip(*self._frames, strict=True)
+            poses, seen, cameras = zip(*self._frames, strict=True)
             self._frames.clear()
-            robot = se2.compose(np.array(self.place.home_pose(home)), np.array(poses))
-            cameras = se2.compose(robot, np.broadcast_to(np.array(sensor.pose), robot.shape))
-            spread, field_of_view = np.array(sigmas), sensor.field_of_view
-            self._views.add(self.place.map, cameras, spread, seen, field_of_view)
+            frames = visit_frames(localizer, drive.settings, np.array(poses), seen, cameras)
+            self._views.add(self.place.map, frames, self.place.home_pose(home))
         evidence = self._link.visit
         if is_last:  # the same as that of a recording of this session
             evidence = fingerprint(replace(drive, sightings=self._samples.sightings()))
