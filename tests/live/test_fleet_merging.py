@@ -16,6 +16,7 @@ from homeward.errors import InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose
 from homeward.live.fleet.changes import difference, is_same, with_changes
+from homeward.live.fleet.claims import is_doubt_of
 from homeward.live.fleet.merging import (
     CONFIRM_S,
     LIVE,
@@ -237,6 +238,20 @@ def test_a_glimpse_confirms_the_position_where_another_robot_found_a_landmark(
     assert found(shared, 1.0) == {}
     add(shared, "a", pushed(room(), "L3"), 2.0)
     assert found(shared, 2.0) == {"L3": ("moved", confirmed, ["a", "b"] if confirmed else ["a"])}
+
+
+@pytest.mark.parametrize(
+    ("direction", "sigma", "number", "supports"),
+    [(0.32, 0.1, 1, True), (0.32, 0.25, 1, False), (0.32, 0.25, 2, True), (0.14, 0.2, 3, False)],
+)
+def test_sightings_that_agree_with_any_position_near_them_support_none(
+    direction, sigma, number, supports
+):
+    """Of a landmark 3 m ahead that moved by 1 m to the left, to a position with this sigma [m]."""
+    seen = {"L3": number * ((0.0, 0.0, direction, 0.02),)}
+    message = visited("v1", room(), 2).model_copy(update={"rays": seen})
+    claimed = (3.0, 1.0, sigma**2, 0.0, sigma**2)
+    assert is_doubt_of(message, "L3", claimed, np.array([3.0, 0.0])) is supports
 
 
 def test_new_positions_that_differ_do_not_make_the_old_one_right_again(shared):

@@ -23,6 +23,9 @@ MIN_GROUP = 3
 """Minimum number of landmarks of a group that moves rigidly."""
 SAME_M = 0.02
 """Positions this close agree, however certain they are [m]."""
+MAX_CHANCE = 0.05
+"""Maximum probability that sightings in any direction agree with a position: close to an uncertain
+one, all of them do."""
 MAX_APART_M = 0.3
 """Positions farther apart are different claims, however uncertain they are [m]."""
 
@@ -93,21 +96,24 @@ def supports(one: Claim, other: Claim) -> bool:
     return one.what == other.what and is_near and _agree(one.at, other.at)
 
 
-def is_doubt_of(message: VisitMessage, name: str, at: Placed | None) -> bool:
-    """Return whether sightings that do not fit the place of a landmark support a claim.
+def is_doubt_of(message: VisitMessage, name: str, at: Placed | None, was: np.ndarray) -> bool:
+    """Return whether sightings that do not fit the place `was` (2,) of a landmark support a claim.
 
-    Most of them must agree with its position, if it has one, which an outlier does by chance only:
-    for about 6 sigmas of the circle.
+    Most of them must agree with its position, if it has one, and be nearer to it than to the place,
+    which outliers do by chance with a probability of at most `MAX_CHANCE`.
     """
     rays = message.rays.get(name, ())
     if at is None or not rays:
         return name in message.doubted or len(rays) == MIN_SIGHTINGS
-    x, y, directions, sigmas = np.array(rays).T
-    dx, dy = at[0] - x, at[1] - y
+    cameras, directions, sigmas = np.split(np.array(rays), [2, 3], axis=1)
+    ways = np.array([at[:2], was])[:, None] - cameras
+    off, off_place = np.abs(wrap(np.arctan2(*ways.T[::-1]).T - directions.T))
+    dx, dy = ways[0].T
     across = np.column_stack([-dy, dx]) / np.maximum(dx**2 + dy**2, SAME_M**2)[:, None]
-    spreads = np.hypot(sigmas, np.sqrt(np.einsum("ki,ij,kj->k", across, spread(at), across)))
-    off = np.abs(wrap(directions - np.arctan2(dy, dx)))
-    return bool(2 * np.count_nonzero(off <= INLIER * spreads) > len(rays))
+    spreads = np.hypot(sigmas.T[0], np.sqrt(np.einsum("ki,ij,kj->k", across, spread(at), across)))
+    agree = off <= np.minimum(INLIER * spreads, off_place)
+    chance = np.prod(INLIER * spreads[agree] / np.pi)
+    return bool(2 * np.count_nonzero(agree) > len(rays) and chance <= MAX_CHANCE)
 
 
 def _is_certain(at: Placed) -> bool:

@@ -229,8 +229,10 @@ class SharedPlace:
             return None
         claim, by = claims[best][0], agreeing[best]
         since, last = min(claims[r][0].since for r in by), max(claims[r][1] for r in by)
-        if leaves := claim.what in ("moved", "gone"):
-            by += sorted(r for r, m in doubting.items() if is_doubt_of(m, name, claim.at))
+        leaves = claim.what in ("moved", "gone")
+        if leaves and name in self.place.persistence:
+            was = self.place.map.mean[self.place.map.columns([name])]
+            by += sorted(r for r, m in doubting.items() if is_doubt_of(m, name, claim.at, was))
         opposed = in_place | {r: t for r, (c, t) in claims.items() if c.at}
         opposed = {r: t for r, t in opposed.items() if r not in by}
         against = {r: t for r, t in opposed.items() if t > since}
