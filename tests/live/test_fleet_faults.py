@@ -16,7 +16,7 @@ from fleet_rig import kept, linked, merging, pushed, visited
 from visited import new_place, room
 
 from homeward.errors import InputError
-from homeward.live.fleet import kept_visits, merger
+from homeward.live.fleet import merger, messages
 from homeward.live.fleet import merging as deciding
 from homeward.live.fleet import robot as fleet_robot
 from homeward.live.fleet.connection import Broker, Connection
@@ -138,7 +138,7 @@ def test_a_disk_that_is_full_for_an_hour_is_reported_once_and_ends_nothing(
 
     with merging(broker.url, folder) as running, linked(broker.url, "a", "b") as (a, b):
         with monkeypatch.context() as patch:
-            patch.setattr(kept_visits, "write_whole", full)
+            patch.setattr(messages, "write_whole", full)
             for minute in range(0, 60, 10):
                 clock.shifts = 60.0 * minute, 60.0 * minute
                 a.share(visited("a1", room(), minute))

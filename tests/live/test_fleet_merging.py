@@ -15,6 +15,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.errors import InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose
+from homeward.io.settings import parsed
 from homeward.live.fleet.changes import difference, is_same, with_changes
 from homeward.live.fleet.claims import is_doubt_of
 from homeward.live.fleet.merging import (
@@ -26,7 +27,7 @@ from homeward.live.fleet.merging import (
     robot_lines,
 )
 from homeward.live.fleet.messages import (
-    parse_visit,
+    VisitMessage,
     place_content,
     place_of,
     visit_message,
@@ -484,7 +485,7 @@ def test_homes_and_places_are_equal_after_the_way_through_a_message(folder, shar
     home = StoredHome(1.5, seen), Estimate(0.0, Status.LOCALISED, "", pose, spread)
     data = VisitData("one", "1f", 2.0, mapped(room(), rng), None, "home", {"dock": home})
     message = visit_message(data, Views(), {}, "home", True)
-    there = visit_of(parse_visit(line_of(message)), 2.0)
+    there = visit_of(parsed(VisitMessage, line_of(message)), 2.0)
     assert there.map.covariance == pytest.approx(data.map.covariance, abs=1e-7)
     assert np.array_equal(there.map.mean, data.map.mean)
     assert there.homes["dock"][1].pose == pose

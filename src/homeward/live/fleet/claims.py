@@ -1,4 +1,7 @@
-"""Claims of a visit: where it differs from the place of a fleet."""
+"""Claims of a visit: where it differs from a place; and bounds of the sightings of a robot.
+
+A robot has one position at a time, and a limited speed.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ from homeward.geometry.frames import position_sigma
 from homeward.live.fleet.changes import part, placed, spread
 from homeward.live.fleet.messages import Placed, VisitMessage
 from homeward.localizer.tunables import INLIER, MIN_SIGHTINGS
-from homeward.places.joint_map import datum
+from homeward.places.joint_map import JointMap, datum
 from homeward.places.place import Place
-from homeward.places.views import Views
+from homeward.places.views import SECTORS, Views
 from homeward.places.visit_data import VisitData
 from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
 
@@ -28,6 +31,10 @@ MAX_CHANCE = 0.05
 one, all of them do."""
 MAX_APART_M = 0.3
 """Positions farther apart are different claims, however uncertain they are [m]."""
+MAX_SPEED = 3.0
+"""Maximum speed of a robot [m/s]."""
+SLACK_M = 2.0
+"""Distance that a robot may have driven before its first message [m]."""
 
 
 @dataclass(frozen=True)
@@ -152,3 +159,44 @@ def with_visit(place: Place, data: VisitData) -> Place:
     was, now = placed(place.map), placed(after.map)
     agree = [_agree(was[n], now[n]) for n in was.keys() & now.keys() - changed]
     return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)
+
+
+def plausible_ages(own: JointMap, ages: Mapping[str, float], place: Place) -> dict[str, float]:
+    """Return the ages of sightings [s], at least as long as the way from the newest one takes.
+
+    `own` is the map of the robot. A landmark can be seen from as far away as any robot saw it; one
+    that nobody saw in place has no bound.
+    """
+    reach = {n: max(p.seen_from) for n, p in place.persistence.items() if p.seen_from and n in ages}
+    names = [n for n in own.names if n in reach]
+    if not names:
+        return dict(ages)
+    newest = min(names, key=lambda n: ages[n])
+    positions = dict(zip(own.names, own.positions, strict=True))
+    found = dict(ages)
+    for name in names:
+        apart = float(np.hypot(*(positions[name] - positions[newest])))
+        way = apart - reach[name] - reach[newest]
+        found[name] = max(ages[name], ages[newest] + way / MAX_SPEED)
+    return found
+
+
+def is_plausible(views: Views, places: JointMap, seconds: float) -> bool:
+    """Return whether a robot can have been in all places that its views need, in `seconds`.
+
+    A view of a landmark from a sector, at a distance, gives a position of the camera.
+    """
+    positions = dict(zip(places.names, places.positions, strict=True))
+    cameras, errors = list[np.ndarray](), [0.0]
+    middle = (np.arange(SECTORS) + 0.5) * 2.0 * np.pi / SECTORS
+    for name, passed in views.passed.items():
+        if name not in positions:
+            continue
+        sectors = np.flatnonzero(np.isfinite(passed))
+        way = np.column_stack([np.cos(middle[sectors]), np.sin(middle[sectors])])
+        cameras += list(positions[name] + passed[sectors, None] * way)
+        errors.append(float(passed[sectors].max(initial=0.0)) * np.pi / SECTORS)
+    if not cameras:
+        return True
+    extent = float(np.ptp(np.array(cameras), axis=0).max())
+    return extent <= MAX_SPEED * seconds + 2.0 * max(errors) + SLACK_M

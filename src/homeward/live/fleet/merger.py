@@ -18,7 +18,7 @@ from homeward.io.writing import write_whole
 from homeward.live.fleet.changes import difference, is_same_news
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.merging import LIVE, QUARANTINED, SharedPlace
-from homeward.live.fleet.messages import Ack, Change, Changes, parse_visit, place_content
+from homeward.live.fleet.messages import Ack, Change, Changes, VisitMessage, place_content
 from homeward.live.fleet.parcels import (
     ACK,
     CHANGE,
@@ -218,7 +218,7 @@ class Merger:
     def _add(self, robot: str, manifest: VisitManifest, content: bytes) -> bool:
         """Keep a version of a visit; return whether to acknowledge it."""
         try:
-            message = parse_visit(content)
+            message: VisitMessage = parsed(VisitMessage, content)
             if (message.visit, message.number) != (manifest.visit, manifest.number):
                 raise InputError("the manifest is of another version")
             self._shared.add(robot, message, time.monotonic(), time.time() / DAY_S)

@@ -28,13 +28,13 @@ from homeward.live.fleet.claims import (
     Claim,
     claims_of,
     is_doubt_of,
+    is_plausible,
+    plausible_ages,
     supports,
     with_visit,
     without,
 )
-from homeward.live.fleet.kept_visits import KeptVisits
-from homeward.live.fleet.messages import Change, VisitMessage, visit_of
-from homeward.live.fleet.plausibility import is_plausible, plausible_ages
+from homeward.live.fleet.messages import Change, KeptVisits, VisitMessage, visit_of
 from homeward.places import files
 from homeward.places.place import DAY_S, Place
 from homeward.places.views import Views

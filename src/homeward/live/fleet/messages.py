@@ -1,7 +1,8 @@
 """Content of the messages between robots and the merger of a place: JSON.
 
 A robot sends its visit as a whole every few seconds. The merger acknowledges each version that is
-on its disk, and sends the map of the place, and what the visits in progress change in it.
+on its disk, and sends the map of the place, and what the visits in progress change in it. Visits
+are also kept on the disks of robots and merger, a file each, until they are no longer needed.
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ from __future__ import annotations
 import base64
 import math
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -20,13 +21,16 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.errors import InputError
+from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose
 from homeward.io.checks import AfterValidator, Field
 from homeward.io.models import Strict
+from homeward.io.reading import naming, read_small
 from homeward.io.settings import parsed
 from homeward.io.table import quoted
+from homeward.io.writing import remove_abandoned, write_whole
+from homeward.live.fleet.parcels import MAX_VISIT_PARTS, PART
 from homeward.live.messages import (
     MAX_LENGTH,
     Bearings,
@@ -190,10 +194,41 @@ def place_of(content: bytes) -> Place:
         return read_tables(Path(folder), partial(_covariance, data.covariance))
 
 
-def parse_visit(content: bytes | str) -> VisitMessage:
-    """Return a visit; `InputError` with a one-line text where it is invalid."""
-    message: VisitMessage = parsed(VisitMessage, content)
-    return message
+@dataclass(frozen=True)
+class KeptVisits:
+    """Visits in a folder, by names without a suffix."""
+
+    folder: Path
+
+    def load(self, use: Callable[[str, VisitMessage], None]) -> list[str]:
+        """Pass each visit with its name to `use`, the oldest first; return damaged files in words.
+
+        A visit for which `use` raises a `HomewardError` is damaged, too.
+        """
+        with naming(self.folder, "cannot be read"):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            remove_abandoned(self.folder)  # of a process that was killed
+            files = sorted(self.folder.glob("*.json"), key=lambda file: file.lstat().st_mtime)
+        problems = []
+        for file in files:
+            try:
+                content = read_small(file, MAX_VISIT_PARTS * PART, "a visit")
+                use(file.stem, parsed(VisitMessage, content))
+            except (HomewardError, OSError, UnicodeDecodeError) as error:
+                problems.append(f"{file}: is skipped: {error}")
+        return problems
+
+    def write(self, name: str, visit: VisitMessage) -> None:
+        """Write a visit, and return when it is on disk."""
+        write_whole(self.file(name), line_of(visit).encode())
+
+    def remove(self, name: str) -> None:
+        """Delete a visit, if it is there."""
+        self.file(name).unlink(missing_ok=True)
+
+    def file(self, name: str) -> Path:
+        """Return the file of a visit."""
+        return self.folder / f"{name}.json"
 
 
 def visit_message(

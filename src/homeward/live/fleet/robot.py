@@ -24,10 +24,10 @@ from homeward.io.writing import state_folder
 from homeward.live.fleet.changes import change_words, doubtful, is_same, with_changes
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.fits import Fits, Rejected
-from homeward.live.fleet.kept_visits import KeptVisits
 from homeward.live.fleet.messages import (
     Ack,
     Changes,
+    KeptVisits,
     Ray,
     VisitMessage,
     place_of,
