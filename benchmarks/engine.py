@@ -1,4 +1,4 @@
-"""The compiled engine and its peers: plain NumPy, FilterPy, dynamax, hand-written C++.
+"""The compiled engine and its peers: plain NumPy, FilterPy, hand-written C++.
 
 `python -m benchmarks.engine [--quick] [--gate] [--update-baseline]` prints medians and ratios of
 one run, in which peers and homeward alternate; each peer must first agree with homeward on the
@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import monte_carlo, timing
-from benchmarks.peers.libraries import FilterPyFilter, Limit, dynamax_batch
-from benchmarks.peers.plain import PlainFilter, process_noise
+from benchmarks.peers.libraries import FilterPyFilter, Limit
+from benchmarks.peers.plain import PlainFilter
 from benchmarks.peers.scene import GUARD, Scene, every_parameter, given, make_scene, series
 from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import run_homing
@@ -24,7 +24,7 @@ from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.model import PolarModel
 
 BASELINE = Path(__file__).with_name("engine_baseline.json")
-AGREE, AGREE_DYNAMAX = 1e-6, 1e-5
+AGREE = 1e-6
 STEPS = 2400
 REST_S = 0.05  # pause between bursts on two cores, to reduce the effect of other processes
 EKF = ExtendedKalmanFilter(PolarModel(7, guard=GUARD))
@@ -41,9 +41,9 @@ def main() -> None:
 
 def measure(rounds: int, quick: bool) -> dict[str, float]:
     scene, limit = make_scene(STEPS), Limit()
-    process = agreement(make_scene(600) if quick else scene, limit)
+    agreement(make_scene(600) if quick else scene, limit)
     ratios = one_run(scene, limit, rounds)
-    ratios |= many_runs(scene, process, rounds, quick)
+    ratios |= many_runs(scene, rounds, quick)
     ratios |= large(rounds)
     threads(rounds)
     closed_loops(rounds)
@@ -60,8 +60,8 @@ def native(scene: Scene, kind: ExtendedKalmanFilter = EKF) -> np.ndarray:
     return np.asarray(result.history["state"][0, 1:])
 
 
-def agreement(scene: Scene, limit: Limit) -> np.ndarray:
-    """Print the peers' differences from homeward on one trajectory; return its Gu Q Gu'."""
+def agreement(scene: Scene, limit: Limit) -> None:
+    """Print the peers' differences from homeward on one trajectory."""
     ours = native(scene)
     slow = run_recorded(
         EKF, given(scene, EKF), series(scene), runs=1, steps=scene.steps, engine="interpreter"
@@ -69,19 +69,12 @@ def agreement(scene: Scene, limit: Limit) -> np.ndarray:
     off = {"interpreter": slow, "C++ limit": limit.run(scene)}
     for name, peer in one_by_one(scene).items():
         off[name] = np.array([stepped(peer, scene, k) for k in range(scene.steps)])
-    process = process_noise(scene, ours)
-    off["dynamax"] = dynamax_batch(scene, process)(scene.bearings[None])[0]
     print(f"largest difference from homeward over {scene.steps} samples:")
     for name, track in off.items():
         worst = float(np.abs(track - ours).max())
         print(f"  {name:12} {worst:.1e}")
-        if not worst < (AGREE_DYNAMAX if name == "dynamax" else AGREE):
+        if not worst < AGREE:
             sys.exit(f"{name} does not agree")
-    print(
-        "  (dynamax gets Gu Q Gu', which it cannot compute from the state, and adds 1e-9 to the\n"
-        "  innovations' covariance: it cannot agree better than to 1e-5)"
-    )
-    return process
 
 
 def one_by_one(scene: Scene) -> dict[str, object]:
@@ -131,33 +124,25 @@ def one_run(scene: Scene, limit: Limit, rounds: int) -> dict[str, float]:
     return found
 
 
-def many_runs(scene: Scene, process: np.ndarray, rounds: int, quick: bool) -> dict[str, float]:
-    """Time many simultaneous runs on one core, against FilterPy and dynamax."""
+def many_runs(scene: Scene, rounds: int, quick: bool) -> dict[str, float]:
+    """Time many simultaneous runs on one core, against FilterPy."""
     short = make_scene(100 if quick else 400)
     runs = 512
     bearings = many(short, runs)
-    batch = dynamax_batch(short, process[: short.steps])
-    small = bearings[:64]
-    batch(small)
     peer = FilterPyFilter(scene)
     taken = timing.in_turns(
         {
             "FilterPy": timing.per_sample(lambda k: stepped(peer, scene, k), 60),
-            "dynamax": lambda: timing.clock(lambda: batch(small)) / (len(small) * short.steps),
             "batch": lambda: timing.clock(lambda: ours(short, bearings, 1)) / (runs * short.steps),
         },
         rounds,
     )
     print("\nmany runs, filter steps per second and core (median of rounds):")
-    for name in ("batch", "dynamax", "FilterPy"):
+    for name in ("batch", "FilterPy"):
         print(f"  {name:12} {1 / np.median(taken[name]):12,.0f}")
-    found = {
-        "batch / dynamax": timing.ratio(taken, "dynamax", "batch"),
-        "batch / FilterPy": timing.ratio(taken, "FilterPy", "batch"),
-    }
+    found = {"batch / FilterPy": timing.ratio(taken, "FilterPy", "batch")}
     flags = Path("/proc/cpuinfo")
     wide = flags.exists() and "avx512dq" in flags.read_text(encoding="utf-8")
-    timing.goal("many runs, speed over dynamax", found["batch / dynamax"], 30)
     timing.goal("many runs, speed over FilterPy", found["batch / FilterPy"], 800 if wide else 400)
     return found
 

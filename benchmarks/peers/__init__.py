@@ -1,1 +1,1 @@
-"""The same filter in plain NumPy, FilterPy, dynamax and hand-written C++."""
+"""The same filter in plain NumPy, FilterPy and hand-written C++."""

@@ -1,11 +1,10 @@
-"""The filter with FilterPy and dynamax, and in hand-written C++ (limit.cpp)."""
+"""The filter with FilterPy, and in hand-written C++ (limit.cpp)."""
 
 import ctypes
 import os
 import shlex
 import subprocess
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -46,61 +45,6 @@ class FilterPyFilter:
     @property
     def x(self) -> np.ndarray:
         return np.asarray(self.filter.x)
-
-
-def dynamax_batch(scene: Scene, process: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return dynamax's extended Kalman filter over many runs, compiled.
-
-    It maps bearings (runs, steps, q) to estimates (runs, steps, n). Its process noise cannot depend
-    on the state, so it is homeward's Gu Q Gu' of each sample, (steps, n, n). An unseen landmark is
-    a zero row of H.
-    """
-    import jax
-    import jax.numpy as jnp
-    from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, extended_kalman_filter
-
-    jax.config.update("jax_enable_x64", True)
-    q, stored = scene.q, jnp.asarray(scene.stored)
-
-    def rates(x, u):
-        R, theta, alpha, beta = x[0], x[1], x[2], x[3:]
-        w = R * jnp.sin(stored - theta)
-        near = jnp.sin(stored - beta - alpha) * w / (w * w + GUARD**2)
-        off = alpha - theta
-        first = [u[0] * jnp.cos(off), u[0] * jnp.sin(off) * R / (R * R + GUARD**2), u[1]]
-        return jnp.concatenate([jnp.array(first), -u[0] * jnp.sin(beta) * near - u[1]])
-
-    def motion(x, u):
-        k1 = rates(x, u)
-        k2 = rates(x + DT / 2 * k1, u)
-        k3 = rates(x + DT / 2 * k2, u)
-        k4 = rates(x + DT * k3, u)
-        return x + DT / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-    # dynamax updates before it predicts: it starts with a sample without sightings. It predicts
-    # with input and noise of the next sample.
-    blind = jnp.zeros((1, q))
-    mask = jnp.concatenate([blind, jnp.asarray(scene.mask)])
-    noise = jnp.where(mask > 0, BEARING_VARIANCE, 1.0)
-    inputs = jnp.concatenate([jnp.asarray(np.vstack([np.zeros(2), scene.control])), mask], axis=1)
-    params = ParamsNLGSSM(
-        initial_mean=jnp.asarray(scene.state),
-        initial_covariance=jnp.asarray(scene.covariance),
-        dynamics_function=lambda x, u: motion(x, u[:2]),
-        dynamics_covariance=jnp.asarray(np.concatenate([process[:1], process])),
-        emission_function=lambda x, u: u[2:] * x[3:],
-        emission_covariance=jax.vmap(jnp.diag)(noise),
-    )
-
-    def run(bearings):
-        seen = jnp.concatenate([blind, bearings]) * mask
-        wanted = ["filtered_means"]
-        return extended_kalman_filter(
-            params, seen, inputs=inputs, output_fields=wanted
-        ).filtered_means[1:]
-
-    batch = jax.jit(jax.vmap(run))
-    return lambda bearings: np.asarray(batch(jnp.asarray(bearings)))
 
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-shared", "-std=c++17")

@@ -77,13 +77,3 @@ class PlainFilter:
         self.x = self.x + K @ (y[rows - 3] - self.x[rows])
         self.P = self.P - K @ self.P[rows]
         self.P = (self.P + self.P.T) / 2
-
-
-def process_noise(scene: Scene, track: np.ndarray) -> np.ndarray:
-    """Return Gu Q Gu' and the random walk of each sample, from the estimates before it."""
-    noise = np.zeros((scene.steps, 10, 10))
-    before = np.vstack([scene.state, track[:-1]])
-    for k in range(scene.steps):
-        by_input = step(before[k], scene.control[k], scene.stored)[2]
-        noise[k] = by_input @ np.diag(INPUT_VARIANCE) @ by_input.T + WALK * np.eye(10)
-    return noise

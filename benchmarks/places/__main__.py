@@ -2,17 +2,15 @@
 
 `python -m benchmarks.places [--days 30] [--seeds 3] [--save FILE]` drives each day through a
 warehouse of 20 by 12 m with 40 landmarks, of which each night 10 % are moved, 5 % are removed and
-as many are added. The place is compared with no memory (home bearings stored again each morning),
-with the home bearings of the first day, and with resection of each frame on all landmarks seen
-last, or on those that a persistence filter accepts. `--real` is MRCLAM set 6: `--makers` make
-places that the other `--robots` use. Nothing is tuned to it; data as in `benchmarks.mrclam`.
-`--large` is ten places of 500 landmarks, and a year of daily visits.
+as many are added. The place is compared with no memory (home bearings stored again each morning)
+and with the home bearings of the first day. `--real` is MRCLAM set 6: `--makers` make places that
+the other `--robots` use. Nothing is tuned to it; data as in `benchmarks.mrclam`.
 """
 
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,11 +18,8 @@ import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.mrclam import drive_of
-from benchmarks.places.large import large, year
-from benchmarks.places.persistence_filter import PersistentResection, Resection
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from homeward.drives.drive import Drive
-from homeward.drives.landmarks import KnownLandmarks
 from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import Place
@@ -33,10 +28,7 @@ from homeward.places.visiting import first_place, merged
 from homeward.runs.scoring import errors, statistics
 from homeward.track import Track, run
 
-OUTSIDE = 20.0  # maximum error that counts, the length of the hall [m]
-Look = Callable[[float, dict[str, float]], np.ndarray | None]
-"""Pose (3,) from the bearings at a time [s] of a drive."""
-HOW = ("place", "no memory", "first day's home", "resection", "persistence filter")
+HOW = ("place", "no memory", "first day's home")
 
 
 @dataclass
@@ -66,25 +58,6 @@ def visit(drive: Drive, place: Place | None, when: float) -> tuple[Track, Place]
     return track, after
 
 
-def memories(known: KnownLandmarks, changes: float) -> dict[str, Look]:
-    """Return the resections on landmarks seen last; a share of `changes` goes per day."""
-    survey = {n: (m.x, m.y) for n, m in known.landmarks.items()}
-    naive, filtered = Resection(survey), PersistentResection(survey, changes, BEARING_SIGMA)
-    return {"resection": lambda _, seen: naive.look(seen), "persistence filter": filtered.look}
-
-
-def resected(drive: Drive, look: Look) -> Day:
-    """Return the figures of a drive whose frames are resected one by one."""
-    first, off, frames = math.inf, [], 0
-    for t, seen, _ in drive.sightings.stamps():
-        frames += 1
-        if (found := look(t - drive.span[0], seen)) is not None:
-            first = min(first, t - drive.span[0])
-            truth = drive.truth.at(np.array([t]))
-            off.append(min(math.dist(found[:2], (truth.x[0], truth.y[0])), OUTSIDE))
-    return Day(first, float(np.sqrt(np.mean(np.square(off)))), len(off) / frames)
-
-
 def days(seed: int, number: int) -> list[dict[str, object]]:
     hall, rows, place = Warehouse(seed), [], None
     first_home, last_known, bound = {}, dict[str, tuple[float, float]](), math.nan
@@ -105,9 +78,6 @@ def days(seed: int, number: int) -> list[dict[str, object]]:
         old = run(drive, Localizer(first_home, **drive.settings.robot)) if day else track
         row["first day's home"] = dataclasses.asdict(evaluated(old, drive))
         if before is not None:
-            changes = hall.moved_share + hall.gone_share
-            for how, look in memories(before.known(float(day)), changes).items():
-                row[how] = dataclasses.asdict(resected(drive, look))
             number_of = place.visits[-1].number
             named = {e.landmark for e in place.events if e.visit == number_of and e.what == "moved"}
             seen = set(drive.sightings.landmark.tolist())
@@ -243,16 +213,11 @@ def main() -> None:
         seeds=3,
         save=Path,
         real=False,
-        large=False,
         makers=[1, 3],
         robots=[1, 2, 3, 4, 5],
     )
     if options.real:
         real(options.makers, options.robots)
-        return
-    if options.large:
-        large()
-        year()
         return
     rows = [row for seed in range(options.seeds) for row in days(seed, options.days)]
     table(rows)
