@@ -1,23 +1,20 @@
-"""Places: thirty days in a warehouse, and robots that share places.
+"""Places: thirty days in a warehouse.
 
 `python -m benchmarks.places [--days 30] [--seeds 3] [--save FILE]` drives each day through a
 warehouse of 20 by 12 m with 40 landmarks, of which each night 10 % are moved, 5 % are removed and
 as many are added. The place is compared with no memory (home bearings stored again each morning)
-and with the home bearings of the first day. `--real` is MRCLAM set 6: `--makers` make places that
-the other `--robots` use. Nothing is tuned to it; data as in `benchmarks.mrclam`.
+and with the home bearings of the first day. Nothing is tuned to it.
 """
 
 import dataclasses
 import json
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks import monte_carlo
-from benchmarks.mrclam import drive_of
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from homeward.drives.drive import Drive
 from homeward.geometry.frames import Pose, between
@@ -167,58 +164,8 @@ def table(rows: list[dict[str, object]]) -> None:
     print(f"... over the time in which both have a pose: {', '.join(worse) or 'none'}")
 
 
-def real(makers: Iterable[int], robots: Iterable[int]) -> None:
-    """Print the figures of robots in the place of another one, in MRCLAM set 6."""
-    drives = {r: drive_of(r) for r in {*robots, *makers}}
-    alone = {r: visit(drive, None, 0.0) for r, drive in drives.items()}
-    print(
-        "| place of | robot | five seen after [s] | first pose: in the place, alone [s] "
-        "| RMSE: in the place, alone [m] | the same from 300 s on [m] | outcome |"
-    )
-    print("|---" * 7 + "|")
-    for maker in makers:
-        for r in robots:
-            if r == maker:
-                continue
-            drive, place = drives[r], alone[maker][1]
-            track, after = visit(drive, place, 1.0)
-            now, was = evaluated(track, drive), evaluated(alone[r][0], drive)
-            both = np.intersect1d(  # where both have a pose
-                track.t[track.has_pose], alone[r][0].t[alone[r][0].has_pose]
-            )[0]
-            after_s = float(both - track.t[0])
-            there, by_itself = (evaluated(t, drive, after_s).rmse for t in (track, alone[r][0]))
-            late = [evaluated(t, drive, 300.0).rmse for t in (track, alone[r][0])]
-            print(
-                f"| {maker} | {r} | {five_seen(drive, place):.0f} "
-                f"| {now.first_s:.0f}, {was.first_s:.0f} | {there:.3f}, {by_itself:.3f} "
-                f"| {late[0]:.3f}, {late[1]:.3f} | {after.visits[-1].verdict} |",
-                flush=True,
-            )
-
-
-def five_seen(drive: Drive, place: Place) -> float:
-    seen: set[str] = set()
-    for t, look, _ in drive.sightings.stamps():
-        seen |= {n for n in look if n in place.persistence}
-        if len(seen) >= 5:
-            return t - drive.span[0]
-    return math.inf
-
-
 def main() -> None:
-    options = monte_carlo.parsed(
-        __doc__,
-        days=30,
-        seeds=3,
-        save=Path,
-        real=False,
-        makers=[1, 3],
-        robots=[1, 2, 3, 4, 5],
-    )
-    if options.real:
-        real(options.makers, options.robots)
-        return
+    options = monte_carlo.parsed(__doc__, days=30, seeds=3, save=Path)
     rows = [row for seed in range(options.seeds) for row in days(seed, options.days)]
     table(rows)
     if options.save:
