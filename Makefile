@@ -181,7 +181,6 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.consistency --sabotage $(if $(QUICK),--quick)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.leaderboard $(if $(QUICK),--quick --out /dev/null)
-	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --lag 5)

@@ -139,13 +139,11 @@ def changed(
         yield message
 
 
-def outcome(
-    fault: Fault, seed: int, seconds: float, settings: LiveSettings | None = None
-) -> Outcome:
+def outcome(fault: Fault, seed: int, seconds: float) -> Outcome:
     """Return what happens on a drive home with a fault of this duration [s]."""
     robot = LiveRobot(load_scenario("paper-homing", SCENARIO | {"seed": seed}))
     player = SimulatedRobotClient(robot, MAX_S)
-    session = Session(settings or LiveSettings(), robot.drive.settings)
+    session = Session(LiveSettings(), robot.drive.settings)
     session.receive(player.home(), 0.0)
     change, rng = fault.change(), np.random.default_rng(seed)
     begin, stopped, end = math.inf, math.inf, MAX_S + seconds + AFTER_S

@@ -1,9 +1,9 @@
-"""The compiled engine and its peers: plain NumPy, FilterPy, dynamax, hand-written C++.
+"""The compiled engine and FilterPy.
 
 `python -m benchmarks.engine [--quick] [--gate] [--update-baseline]` prints medians and ratios of
-one run, in which peers and homeward alternate; each peer must first agree with homeward on the
-same trajectory. Times are processor time, except for two threads and whole processes. `--gate`
-fails if a ratio is below half of that in engine_baseline.json.
+one run, in which FilterPy and homeward alternate; both must first agree on the same trajectory.
+Times are processor time, except for two threads and whole processes. `--gate` fails if a ratio is
+below half of that in engine_baseline.json.
 """
 
 import json
@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import monte_carlo, timing
-from benchmarks.peers.libraries import FilterPyFilter, Limit, dynamax_batch
-from benchmarks.peers.plain import PlainFilter, process_noise
-from benchmarks.peers.scene import GUARD, Scene, every_parameter, given, make_scene, series
+from benchmarks.peers.filterpy_ekf import FilterPyFilter
+from benchmarks.peers.scene import GUARD, Scene, given, make_scene, series
 from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import run_homing
 from homeward.lab.engine.native.source import NativeProgram
 from homeward.lab.engine.program import filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.settings import Engine
 from homeward.lab.model import PolarModel
 
 BASELINE = Path(__file__).with_name("engine_baseline.json")
-AGREE, AGREE_DYNAMAX = 1e-6, 1e-5
+AGREE = 1e-6
 STEPS = 2400
 REST_S = 0.05  # pause between bursts on two cores, to reduce the effect of other processes
 EKF = ExtendedKalmanFilter(PolarModel(7, guard=GUARD))
@@ -40,65 +40,42 @@ def main() -> None:
 
 
 def measure(rounds: int, quick: bool) -> dict[str, float]:
-    scene, limit = make_scene(STEPS), Limit()
-    process = agreement(make_scene(600) if quick else scene, limit)
-    ratios = one_run(scene, limit, rounds)
-    ratios |= many_runs(scene, process, rounds, quick)
-    ratios |= large(rounds)
+    scene = make_scene(STEPS)
+    agreement(make_scene(600) if quick else scene)
+    ratios = one_run(scene, rounds)
+    ratios |= many_runs(scene, rounds, quick)
     threads(rounds)
     closed_loops(rounds)
     timing.start_up(3)
     return ratios
 
 
-def native(scene: Scene, kind: ExtendedKalmanFilter = EKF) -> np.ndarray:
+def recorded(scene: Scene, engine: Engine = "native") -> np.ndarray:
     """Return homeward's estimates over a recorded run, in one call."""
-    result = run_recorded(
-        kind, given(scene, kind), series(scene), runs=1, steps=scene.steps, engine="native"
-    )
-    assert result.engine == "native", result.notes
+    values = given(scene)
+    result = run_recorded(EKF, values, series(scene), runs=1, steps=scene.steps, engine=engine)
+    assert result.engine == engine, result.notes
     return np.asarray(result.history["state"][0, 1:])
 
 
-def agreement(scene: Scene, limit: Limit) -> np.ndarray:
-    """Print the peers' differences from homeward on one trajectory; return its Gu Q Gu'."""
-    ours = native(scene)
-    slow = run_recorded(
-        EKF, given(scene, EKF), series(scene), runs=1, steps=scene.steps, engine="interpreter"
-    ).history["state"][0, 1:]
-    off = {"interpreter": slow, "C++ limit": limit.run(scene)}
-    for name, peer in one_by_one(scene).items():
-        off[name] = np.array([stepped(peer, scene, k) for k in range(scene.steps)])
-    process = process_noise(scene, ours)
-    off["dynamax"] = dynamax_batch(scene, process)(scene.bearings[None])[0]
+def agreement(scene: Scene) -> None:
+    """Print the differences from the compiled filter on one trajectory."""
+    ours, peer = recorded(scene), FilterPyFilter(scene)
+    others = {"interpreter": recorded(scene, "interpreter")}
+    others["FilterPy"] = np.array([peer.step(k).copy() for k in range(scene.steps)])
     print(f"largest difference from homeward over {scene.steps} samples:")
-    for name, track in off.items():
+    for name, track in others.items():
         worst = float(np.abs(track - ours).max())
         print(f"  {name:12} {worst:.1e}")
-        if not worst < (AGREE_DYNAMAX if name == "dynamax" else AGREE):
+        if not worst < AGREE:
             sys.exit(f"{name} does not agree")
-    print(
-        "  (dynamax gets Gu Q Gu', which it cannot compute from the state, and adds 1e-9 to the\n"
-        "  innovations' covariance: it cannot agree better than to 1e-5)"
-    )
-    return process
 
 
-def one_by_one(scene: Scene) -> dict[str, object]:
-    return {"NumPy": PlainFilter(scene), "FilterPy": FilterPyFilter(scene)}
-
-
-def stepped(peer, scene: Scene, k: int) -> np.ndarray:
-    """Pass sample k to a peer, and return its estimate."""
-    peer.step(scene.control[k], scene.bearings[k], scene.mask[k])
-    return peer.x
-
-
-def one_run(scene: Scene, limit: Limit, rounds: int) -> dict[str, float]:
+def one_run(scene: Scene, rounds: int) -> dict[str, float]:
     """Time single runs: one call per sample, and one call per run."""
     program = NativeProgram(filter_program(EKF))
     values = program.variables
-    for name, value in given(scene, EKF).items():
+    for name, value in given(scene).items():
         values[name][...] = value
     control, bearings, mask, state = (values[k] for k in ("control", "bearings", "mask", "state"))
 
@@ -107,57 +84,39 @@ def one_run(scene: Scene, limit: Limit, rounds: int) -> dict[str, float]:
         program.do()
         return state.copy()
 
-    peers = one_by_one(scene)
     timed = {
-        name: timing.per_sample(lambda k, p=p: stepped(p, scene, k), 60)
-        for name, p in peers.items()
+        "recorded": lambda: timing.clock(lambda: recorded(scene)) / scene.steps,
+        "online": timing.per_sample(online, 120),
+        "FilterPy": timing.per_sample(FilterPyFilter(scene).step, 60),
     }
-    timed["online"] = timing.per_sample(online, 120)
-    timed["recorded"] = lambda: timing.clock(lambda: native(scene)) / scene.steps
-    timed["C++ limit"] = lambda: timing.clock(lambda: limit.run(scene)) / scene.steps
     taken = timing.in_turns(timed, rounds)
     print("\none run, microseconds per sample (median), and speed relative to FilterPy (median):")
-    for name in ("C++ limit", "recorded", "online", *peers):  # compiled first, then interpreted
-        times = timing.ratio(taken, "FilterPy", name)
-        print(f"  {name:12} {1e6 * np.median(taken[name]):8.2f} {times:8.1f}")
-    found = {
-        "recorded / C++ limit": timing.ratio(taken, "C++ limit", "recorded"),
-        "online / FilterPy": timing.ratio(taken, "FilterPy", "online"),
-        "recorded / FilterPy": timing.ratio(taken, "FilterPy", "recorded"),
-    }
-    timing.goal("recorded run, speed over the C++ limit", found["recorded / C++ limit"], 0.5)
+    for name, times in taken.items():
+        relative = timing.ratio(taken, "FilterPy", name)
+        print(f"  {name:12} {1e6 * np.median(times):8.2f} {relative:8.1f}")
+    found = {f"{k} / FilterPy": timing.ratio(taken, "FilterPy", k) for k in ("online", "recorded")}
     timing.goal("online, speed over FilterPy", found["online / FilterPy"], 60)
     timing.goal("recorded run, speed over FilterPy", found["recorded / FilterPy"], 150)
     return found
 
 
-def many_runs(scene: Scene, process: np.ndarray, rounds: int, quick: bool) -> dict[str, float]:
-    """Time many simultaneous runs on one core, against FilterPy and dynamax."""
-    short = make_scene(100 if quick else 400)
-    runs = 512
-    bearings = many(short, runs)
-    batch = dynamax_batch(short, process[: short.steps])
-    small = bearings[:64]
-    batch(small)
-    peer = FilterPyFilter(scene)
+def many_runs(scene: Scene, rounds: int, quick: bool) -> dict[str, float]:
+    """Time many simultaneous runs on one core."""
+    short, runs = make_scene(100 if quick else 400), 512
+    bearings, peer = many(short, runs), FilterPyFilter(scene)
     taken = timing.in_turns(
         {
-            "FilterPy": timing.per_sample(lambda k: stepped(peer, scene, k), 60),
-            "dynamax": lambda: timing.clock(lambda: batch(small)) / (len(small) * short.steps),
+            "FilterPy": timing.per_sample(peer.step, 60),
             "batch": lambda: timing.clock(lambda: ours(short, bearings, 1)) / (runs * short.steps),
         },
         rounds,
     )
     print("\nmany runs, filter steps per second and core (median of rounds):")
-    for name in ("batch", "dynamax", "FilterPy"):
+    for name in ("batch", "FilterPy"):
         print(f"  {name:12} {1 / np.median(taken[name]):12,.0f}")
-    found = {
-        "batch / dynamax": timing.ratio(taken, "dynamax", "batch"),
-        "batch / FilterPy": timing.ratio(taken, "FilterPy", "batch"),
-    }
+    found = {"batch / FilterPy": timing.ratio(taken, "FilterPy", "batch")}
     flags = Path("/proc/cpuinfo")
     wide = flags.exists() and "avx512dq" in flags.read_text(encoding="utf-8")
-    timing.goal("many runs, speed over dynamax", found["batch / dynamax"], 30)
     timing.goal("many runs, speed over FilterPy", found["batch / FilterPy"], 800 if wide else 400)
     return found
 
@@ -190,7 +149,7 @@ def many(scene: Scene, runs: int) -> np.ndarray:
 def ours(scene: Scene, bearings: np.ndarray, count: int) -> np.ndarray:
     result = run_recorded(
         EKF,
-        given(scene, EKF),
+        given(scene),
         {**series(scene), "bearings": bearings},
         runs=len(bearings),
         steps=scene.steps,
@@ -209,7 +168,7 @@ def closed_loops(rounds: int) -> None:
     distance = rng.uniform(1, 2, (runs, q, 1))
     state = np.zeros((runs, 10))
     state[:, :3] = [0.75, -0.872, 0.349] + rng.normal(size=(runs, 3)) * [0.05, 0.1, 0.1]
-    values = given(make_scene(1), EKF) | {
+    values = given(make_scene(1)) | {
         "landmarks": distance * np.stack([np.cos(angles), np.sin(angles)], axis=-1),
         "stored": angles + (np.arange(q) < 2) * rng.uniform(-0.3, 0.3, (runs, q)),
         "pose": [0.75 * np.cos(-0.872), 0.75 * np.sin(-0.872), 0.349],
@@ -231,28 +190,6 @@ def closed_loops(rounds: int) -> None:
     print(f"  median {runs / np.median(taken):,.0f} per second, best {runs / taken.min():,.0f}")
     print(f"  by processor time, on two idle cores: {2 * runs / used:,.0f} per second")
     timing.goal("complete homing runs per second (best)", runs / float(taken.min()), 10_000)
-
-
-def large(rounds: int) -> dict[str, float]:
-    """Time the A-EKF with all parameters against plain NumPy."""
-    name, scene, kind = "A-EKF, n = 17", make_scene(500), every_parameter(7)
-    peer = PlainFilter(scene, parameters=True)
-    track = native(scene, kind)
-    off = np.abs(np.array([stepped(peer, scene, k) for k in range(200)]) - track[:200]).max()
-    if not off < AGREE:
-        sys.exit(f"{name}: NumPy does not agree: {off:.1e}")
-    taken = timing.in_turns(
-        {
-            "NumPy": timing.per_sample(lambda k: stepped(peer, scene, 200 + k), 15),
-            "ours": lambda: timing.clock(lambda: native(scene, kind)) / scene.steps,
-        },
-        rounds,
-    )
-    found = {f"{name} / NumPy": timing.ratio(taken, "NumPy", "ours")}
-    a, b = (1e6 * np.median(taken[k]) for k in ("NumPy", "ours"))
-    print(f"\n{name}: NumPy {a:.0f} us per sample, homeward {b:.2f} us, agreement to {off:.0e}")
-    timing.goal(f"{name}, speed over NumPy", found[f"{name} / NumPy"], 10)
-    return found
 
 
 if __name__ == "__main__":

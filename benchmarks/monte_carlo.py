@@ -175,12 +175,13 @@ def benchmark(
     columns: Sequence[Column],
     seeds: int,
     names: str = "only",
+    is_pooled: bool = True,
     **settings: Any,
 ) -> dict[Run, Figures]:
     """Run `function(run, **settings)` for each scenario and seed, by its options; print a table.
 
     `settings` are further options, with their defaults; `names` is that of the scenarios. The last
-    row is that of all runs.
+    row is that of all runs, if `is_pooled`.
     """
     options = parsed(
         doc, **{names: dict.fromkeys(scenarios)}, seeds=seeds, first=0, **settings, **HARNESS
@@ -191,7 +192,7 @@ def benchmark(
     kept = {name: str(value) for name, value in chosen.items()}
     found = run_all(partial(function, **chosen), runs, options.jobs, options.keep, **kept)
     rows = {s: [one for run, one in found.items() if run.scenario == s] for s in some}
-    if len(rows) > 1:
+    if is_pooled and len(rows) > 1:
         rows["all"] = list(found.values())
     print_table(
         [["", *(c.head for c in columns)]]

@@ -3,8 +3,6 @@
 `python -m benchmarks.vision [--part NAME ...] [--seeds 6]` prints the figures of these parts:
 antworld, route, speed, still, rooms, strangers, exposure, tilt. The data sets antworld_rendered and
 alife_outdoor_panoramas are read from HOMEWARD_DATA, else from ../shared/data; rooms are rendered.
-Headings on antworld are compared with the image difference compass of Zeil, Hofmann and Chahl
-(JOSA A 2003): the rotation of least image difference.
 """
 
 import csv
@@ -69,8 +67,8 @@ def antworld(count: int = 200) -> None:
     place = np.array([[float(row["X [mm]"]), float(row["Y [mm]"])] for row in rows]) / 1e3
     cell = np.rint((place - place.min(axis=0)) / 0.1).astype(int)
     at = {tuple(c): k for k, c in enumerate(cell.tolist())}
-    image = cache(lambda k: read_grey(folder / "grid" / rows[k]["Filename"].strip()))
-    view = cache(lambda k: extract(image(k), ANTWORLD))
+    grid = folder / "grid"
+    view = cache(lambda k: extract(read_grey(grid / rows[k]["Filename"].strip()), ANTWORLD))
     for steps in (1, 2, 3, 5):
         rng, pairs = np.random.default_rng(0), list[tuple[int, int]]()
         ways = ((steps, 0), (-steps, 0), (0, steps), (0, -steps))
@@ -86,19 +84,6 @@ def antworld(count: int = 200) -> None:
             return compare(view(home), view(now), ANTWORLD), truth
 
         errors(f"antworld, {steps / 10:.1f} m", map(seen, pairs))
-        some = pairs[: max(count // 4, 10)]
-        turned = np.degrees([abs(compass(image(home), image(now))) for home, now in some])
-        print(f"  image difference compass: heading {np.median(turned):.2f} deg median")
-
-
-def compass(home: np.ndarray, now: np.ndarray) -> float:
-    """Return the heading now in the home frame [rad]: the rotation of least image difference."""
-    a, b = (image - image.mean(axis=1, keepdims=True) for image in (home, now))
-    # Correlation for all rotations at once, row by row.
-    spectrum = np.fft.rfft(a, axis=1) * np.conj(np.fft.rfft(b, axis=1))
-    shift = int(np.fft.irfft(spectrum.sum(axis=0), a.shape[1]).argmax())
-    # Columns run clockwise: a scene shifted to the right by `shift` is a rotation to the right.
-    return -math.remainder(math.tau * shift / a.shape[1], math.tau)
 
 
 def route() -> None:

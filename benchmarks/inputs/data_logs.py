@@ -47,9 +47,7 @@ def doubles(*values: float) -> bytes:
     return struct.pack(f"<{len(values)}d", *values)
 
 
-def photon(
-    tags: Tags, exposed: int = 0, corners: int = 4, multitag: bool = False, unit: int = 1
-) -> bytes:
+def photon(tags: Tags, exposed: int = 0, multitag: bool = False, unit: int = 1) -> bytes:
     """Return a PhotonPipelineResult in the layout of 2025; `unit` is 1000 for nanoseconds."""
     parts = [struct.pack("<4qB", 7, exposed, exposed + LATENCY_US * unit, 0, len(tags))]
     for number, place in tags.items():
@@ -57,7 +55,7 @@ def photon(
         parts.append(struct.pack("<4d2if", yaw, 0.0, 1.0, 0.0, number, -1, -1.0))
         parts.append(doubles(*place, 1, 0, 0, 0) + doubles(*place, 1, 0, 0, 0) + doubles(0.1))
         parts.append(bytes([4]) + doubles(*range(8)))
-        parts.append(bytes([corners]) + doubles(*range(2 * corners)))
+        parts.append(bytes([4]) + doubles(*range(8)))
     both = doubles(*range(17)) + b"\2" + struct.pack("<2h", 1, 2)
     return b"".join(parts) + (b"\1" + both if multitag else b"\0")
 

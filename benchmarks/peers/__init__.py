@@ -1,1 +1,1 @@
-"""The same filter in plain NumPy, FilterPy, dynamax and hand-written C++."""
+"""Peers: estimators from elsewhere, and the engine's filter with FilterPy."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.geometry.frames import Polar, Pose, bearing, from_polar
-from homeward.lab.filters.ekf import ExtendedKalmanFilter, augmented_ekf
 
 DT = 0.05
 GUARD = 0.01
@@ -68,20 +67,16 @@ def _look(pose: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     return np.array([bearing(Pose(*pose), *mark) for mark in landmarks])
 
 
-def given(scene: Scene, kind: ExtendedKalmanFilter) -> dict[str, object]:
-    n, known = kind.model.n, 3 + scene.q
-    state, covariance = np.zeros(n), np.zeros((n, n))
-    state[:known], state[known:] = scene.state, scene.stored[list(kind.model.estimated)]
-    covariance[:known, :known] = scene.covariance
-    covariance[range(known, n), range(known, n)] = 0.1**2
+def given(scene: Scene) -> dict[str, object]:
+    """Return initial belief and constants of a filter."""
     return {
-        "state": state,
-        "covariance": covariance,
+        "state": scene.state,
+        "covariance": scene.covariance,
         "active": 1.0,
         "stored": scene.stored,
         "dt": DT,
         "input_covariance": np.diag(INPUT_VARIANCE),
-        "state_variance": np.full(n, WALK),
+        "state_variance": np.full(scene.state.size, WALK),
         "variance": BEARING_VARIANCE,
         "gate": np.inf,
         "minimum_visible": 1.0,
@@ -89,8 +84,5 @@ def given(scene: Scene, kind: ExtendedKalmanFilter) -> dict[str, object]:
 
 
 def series(scene: Scene) -> dict[str, np.ndarray]:
+    """Return the inputs of each sample."""
     return {"control": scene.control, "bearings": scene.bearings, "mask": scene.mask}
-
-
-def every_parameter(q: int) -> ExtendedKalmanFilter:
-    return augmented_ekf(q, guard=GUARD)

@@ -3,24 +3,51 @@
 import math
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.places.large import made, mapped, random_places
+from homeward.drives.drive import HomeBearing
 from homeward.live.fleet.connection import Broker
 from homeward.live.fleet.merger import Merger
 from homeward.live.fleet.merging import SharedPlace
 from homeward.live.fleet.messages import visit_message
 from homeward.live.fleet.robot import SHARE_S, RobotLink
 from homeward.places.files import save_place
+from homeward.places.joint_map import JointMap
 from homeward.places.persistence import LandmarkPersistence
-from homeward.places.place import DAY_S, Place
+from homeward.places.place import DAY_S, Place, StoredHome, Visit
 from homeward.places.views import SECTORS, Views
 from homeward.places.visit_data import VisitData
 
 PUSH = (0.6, -0.8)
+SIGMA, SCALE_SIGMA = 0.03, 0.01
+"""Errors of a synthetic map: of each landmark [m], and of its scale, which all share."""
+Places = dict[str, tuple[float, float]]
+HOME = StoredHome(0.0, {f"P{i}": HomeBearing(0.1) for i in range(6)})  # its bearings are not used
+
+
+def random_places(rng: np.random.Generator, count: int, size: tuple[float, float]) -> Places:
+    """Return the positions of landmarks in a hall; home is in its corner."""
+    xy = rng.uniform((0.0, 0.0), size, (count, 2))
+    return {f"P{i}": (float(x), float(y)) for i, (x, y) in enumerate(xy)}
+
+
+def mapped(places: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> JointMap:
+    truth = np.array(list(places.values())) * (1.0 + SCALE_SIGMA * rng.normal())
+    mean = (truth + SIGMA * rng.normal(size=truth.shape)).ravel()
+    covariance = SIGMA**2 * np.eye(mean.size) + SCALE_SIGMA**2 * np.outer(truth, truth)
+    return JointMap(tuple(places), (), mean, covariance)
+
+
+def made(name: str, places: Places, rng: np.random.Generator) -> Place:
+    home = np.zeros(3), np.diag([1e-4, 1e-4, 1e-5])
+    there = mapped(places, rng).with_home("home", {}, (0.0, 0.0, 0.0), *home).at_home("home")
+    visit = Visit(1, 0.0, "first", rng.bytes(8).hex(), "first", new=len(places), of=len(places))
+    persistence = {n: LandmarkPersistence(0.0, 0.0) for n in places}
+    return Place(name, there, persistence, {"home": HOME}, (visit,))
 
 
 def join(number: int, mqtt: str, work: Path) -> None:

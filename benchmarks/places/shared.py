@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.monte_carlo import parsed
-from benchmarks.places.__main__ import visit
+from benchmarks.places.days import visit
 from benchmarks.places.exchange import PUSH, exchanged, join
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from homeward.drives.drive import Drive

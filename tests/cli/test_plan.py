@@ -7,7 +7,7 @@ import yaml
 from commands import call, done, refused
 
 from homeward.io.reading import shipped
-from homeward.lab.planning.analysis import analyse, analyse_start
+from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import load_plan
 from homeward.lab.report.plan import plan_summary
 
@@ -70,8 +70,8 @@ def test_one_place_has_the_result_of_the_map(example):
     plan = load_plan(str(example(grid=1.0)))
     view = analyse(plan)
     for k in (0, len(view.score) // 2):
-        one = analyse_start(plan, tuple(view.floor.points[k].tolist()))
-        assert (one.begins, one.common) == (bool(view.begins[k]), int(view.common[k]))
+        one = analyse(plan, place=tuple(view.places[k].tolist()))
+        assert (one.begins, one.common) == (view.begins[k], view.common[k])
         assert one.position == pytest.approx(view.position[k])
 
 

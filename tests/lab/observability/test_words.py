@@ -11,7 +11,6 @@ from homeward.lab.observability.scene import CALIBRATIONS
 from homeward.lab.observability.study import (
     MOTIONS,
     make_scene,
-    model_scene,
     observe,
     observe_motions,
     trace_family,
@@ -63,7 +62,7 @@ def test_a_compass_and_distances():
 def test_lie_derivatives_and_a_drive_say_the_same(q, known):
     model, scene = observe_model(q, **known), make_scene(q, **known)
     found = scene.rank()
-    by_lie = in_words(model_scene(model), model.null)
+    by_lie = in_words(model.scene, model.null)
     assert [f.words for f in by_lie] == [f.words for f in in_words(scene, found.null)]
     assert model.n - model.rank == len(scene.truth) - found.value
 
@@ -135,8 +134,7 @@ def test_seven_of_the_typical_motions_have_freedoms():
 
 def test_model_scene_is_where_the_null_space_was_found():
     view = observe(2)
-    scene = model_scene(view.model)
-    assert np.abs(scene.jacobian() @ view.model.null).max() < 1e-9
+    assert np.abs(view.model.scene.jacobian() @ view.model.null).max() < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.bounds import dead_reckoning_closed_form, ring_closed_form
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.lab.bounds import posterior_bound
 from homeward.lab.planning.accuracy import Arcs, home_sees
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.floor import make_floor
-from homeward.lab.planning.settings import Plan, load_plan
+from homeward.lab.planning.settings import HomePlace, Plan, load_plan
 
 SQUARE = [(0, 0), (6, 0), (6, 6), (0, 6)]
 SHELF = [(2, 2.5), (3.5, 2.5), (3.5, 3), (2, 3)]
@@ -81,6 +80,50 @@ def test_a_fix_is_the_bound_along_its_arc(h, changes):
         )[-1]
         assert fix.position[k] == pytest.approx(np.sqrt(bound[0, 0] + bound[1, 1]), rel=1e-5)
         assert fix.heading[k] == pytest.approx(np.sqrt(bound[2, 2]), rel=1e-5)
+
+
+def ring_closed_form() -> tuple[float, float, float, float]:
+    """Return computed and exact errors of position and heading in a ring of surveyed landmarks."""
+    q, r, sigma, stops = 12, 3.0, 0.01, 2
+    angles = 2 * np.pi * np.arange(q) / q
+    plan = Plan.model_validate(
+        {
+            "outline": [(-9, -9), (9, -9), (9, 9), (-9, 9)],
+            "home": HomePlace(x=0.5, y=0.5),
+            "sensor": {"bearing_sigma": sigma},
+            "odometry": {"speed_sigma": 0, "turn_sigma": 0},
+            "drive": {"length": 1e-6, "turn": 0, "stops": stops},
+            "landmark_sigma": 1e-6,
+        }
+    )
+    marks = r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    arcs = Arcs(plan)
+    seen, stored = np.ones((1, q), bool), np.zeros(q, bool)
+    information = arcs.information(np.zeros((1, 2)), marks, seen, stored, 0)
+    fix = arcs.fix(information.every)
+    root = np.sqrt(q * stops)
+    return float(fix.position[0]), 2 * r * sigma / root, float(fix.heading[0]), sigma / root
+
+
+def dead_reckoning_closed_form(steps: int = 4000) -> tuple[np.ndarray, np.ndarray]:
+    """Return computed and exact variances ahead, aside and of the heading by dead reckoning."""
+    T, v, sigma_v, sigma_w, start = 20.0, 0.3, 0.02, 0.03, 0.01
+    t = np.linspace(0, T, steps + 1)
+    poses = np.stack([v * t, 0 * t, 0 * t], axis=1)
+    bound = posterior_bound(
+        poses,
+        np.tile([v, 0.0], (steps, 1)),
+        np.diff(t),
+        np.array([[1.0, 2.0]]),
+        np.zeros((steps + 1, 1), bool),
+        bearing_sigma=1.0,
+        home_sigma=1.0,
+        speed_sigma=sigma_v,
+        turn_sigma=sigma_w,
+        start_covariance=start * np.eye(3),
+    )[-1]
+    aside = start + start * (v * T) ** 2 + (sigma_w * v) ** 2 * T**3 / 3
+    return np.diag(bound), np.array([start + sigma_v**2 * T, aside, start + sigma_w**2 * T])
 
 
 def test_closed_forms():

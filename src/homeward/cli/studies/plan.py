@@ -138,23 +138,23 @@ def _plan(source: str, out: Path, json: bool) -> None:
 
 
 def _start(source: str, start: str, json: bool) -> None:
-    from homeward.lab.planning.analysis import analyse_start
+    from homeward.lab.planning.analysis import analyse
     from homeward.lab.planning.settings import load_plan
     from homeward.lab.report.plan import start_summary
 
     (x, y), settings = numbers(start, "--from", 2), load_plan(source)
     with naming_file(Path(source)):
-        view = analyse_start(settings, (x, y))
+        view = analyse(settings, place=(x, y))
     facts = {
         "summary": start_summary(view),
-        "begins": view.begins,
-        "landmarks": view.common,
-        "position_sigma": view.position,
-        "heading_sigma": view.heading,
-        "not_without": view.costly if view.begins else (),
+        "begins": bool(view.begins[0]),
+        "landmarks": int(view.common[0]),
+        "position_sigma": float(view.position[0]),
+        "heading_sigma": float(view.heading[0]),
+        "not_without": view.needed if view.begins[0] else (),
     }
     show(json, facts, start_summary(view))
-    if not view.begins:
+    if not view.begins[0]:
         raise no_answer()
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from homeward.geometry.frames import Polar, Pose, compose, from_polar, inverse
 from homeward.lab.model import INPUTS, POLAR, PolarModel, landmark_distance
 from homeward.lab.observability.ranks import Rank, rank
+from homeward.lab.observability.scene import Scene, landmark_names
 
 POINTS = 5
 """Number of random points; the largest rank among them counts."""
@@ -31,22 +32,20 @@ MAX_LANDMARKS = 40
 class ModelRank:
     """Observability of the model of q landmarks."""
 
-    landmarks: int
-    compass: bool
-    distances: bool
-    n: int
-    """Size of the state, q + 3."""
+    scene: Scene
+    """The best point, as a scene with one pose of the robot, which is its origin."""
     rank: int
     order: int
     """Highest order of Lie derivatives that adds to the rank."""
     singular_values: np.ndarray
-    """(n,), scaled, relative to the largest, at the best point."""
-    home: np.ndarray
-    """(3,), pose of home in the robot frame at that point: x [m], y [m], heading [rad]."""
-    marks: np.ndarray
-    """(q, 2), the landmarks in the robot frame there [m]."""
+    """(n,), scaled, relative to the largest."""
     null: np.ndarray
-    """(3 + 2 q, n - rank), unobservable directions, as changes of `home` and `marks`."""
+    """(3 + 2 q, n - rank), unobservable directions, as changes of the scene's unknowns."""
+
+    @property
+    def n(self) -> int:
+        """Size of the state, q + 3."""
+        return len(self.scene.names) + POLAR
 
 
 def observe_model(landmarks: int, compass: bool = False, distances: bool = False) -> ModelRank:
@@ -65,9 +64,18 @@ def observe_model(landmarks: int, compass: bool = False, distances: bool = False
     state, stored = points[k]
     to_robot = _robot_chart(landmarks)
     chart, by_state = (np.array(m) for m in to_robot(state, stored))
-    model = landmarks, compass, distances, landmarks + POLAR
-    seen = chart[:POLAR, 0], chart[POLAR:, 0].reshape(-1, 2), by_state @ best.null
-    return ModelRank(*model, best.value, order, best.singular_values, *seen)
+    scene = Scene(
+        names=landmark_names(landmarks),
+        home=chart[:POLAR, 0],
+        landmarks=chart[POLAR:, 0].reshape(-1, 2),
+        poses=np.zeros((1, POLAR)),
+        visible=np.ones((1, landmarks), bool),
+        stored=np.ones(landmarks, bool),
+        compass=compass,
+        distances=distances,
+        axis="the robot's heading",
+    )
+    return ModelRank(scene, best.value, order, best.singular_values, by_state @ best.null)
 
 
 @lru_cache(maxsize=32)

@@ -135,6 +135,11 @@ class Scene:
         return poses, twists
 
 
+def landmark_names(q: int) -> tuple[str, ...]:
+    """Return L1, L2, ... for q landmarks."""
+    return tuple(f"L{i + 1}" for i in range(q))
+
+
 def drive(start: Pose, twists: np.ndarray, intervals: np.ndarray) -> np.ndarray:
     """Return the poses (n, 3) along a drive of twists (n - 1, 2) over intervals (n - 1,) [s]."""
     poses = [np.array(start, float)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -12,7 +13,13 @@ from homeward.geometry.frames import Pose, between, compose
 from homeward.lab.model import POLAR
 from homeward.lab.observability.lie import MAX_LANDMARKS, ModelRank, observe_model
 from homeward.lab.observability.ranks import Rank
-from homeward.lab.observability.scene import CALIBRATIONS, Calibration, Scene, drive
+from homeward.lab.observability.scene import (
+    CALIBRATIONS,
+    Calibration,
+    Scene,
+    drive,
+    landmark_names,
+)
 from homeward.lab.observability.words import Freedom, in_words
 
 STEP = 0.08
@@ -152,7 +159,7 @@ def make_scene(
     intervals = np.full(STEPS, DURATION / STEPS)
     home = between(START, Pose(0.0, 0.0, 0.0))
     seen = between(START, Pose(marks[:, 0], marks[:, 1], 0.0))
-    names, places = tuple(f"L{i + 1}" for i in range(landmarks)), np.stack([seen.x, seen.y], axis=1)
+    names, places = landmark_names(landmarks), np.stack([seen.x, seen.y], axis=1)
     poses = drive(Pose(0.0, 0.0, 0.0), twists, intervals)
     visible, stored = np.ones((STEPS + 1, landmarks), bool), np.ones(landmarks, bool)
     given = visible, stored, twists, intervals, unknown, compass, distances
@@ -179,10 +186,16 @@ class SceneView:
 
     title: str
     scene: Scene
-    found: Rank
-    """Rank of the derivatives of all measurements by all unknowns."""
-    freedoms: tuple[Freedom, ...]
-    """Unobservable directions, in words."""
+
+    @cached_property
+    def found(self) -> Rank:
+        """Rank of the derivatives of all measurements by all unknowns."""
+        return self.scene.rank()
+
+    @cached_property
+    def freedoms(self) -> tuple[Freedom, ...]:
+        """Unobservable directions, in words."""
+        return tuple(in_words(self.scene, self.found.null))
 
     @property
     def unknowns(self) -> int:
@@ -228,18 +241,12 @@ def observe(
         raise InputError("the motion circle needs at least 2 landmarks")
     unknown = tuple(sorted(set(unknown), key=CALIBRATIONS.index))
     scene = make_scene(landmarks, motion or "arc", unknown, compass, distances)
-    drive = observe_scene(_title(landmarks, motion or "arc", unknown), scene)
+    drive = SceneView(_title(landmarks, motion or "arc", unknown), scene)
     model, freedoms = None, drive.freedoms
     if motion is None and not unknown:
         model = observe_model(landmarks, compass, distances)
-        freedoms = tuple(in_words(model_scene(model), model.null))
+        freedoms = tuple(in_words(model.scene, model.null))
     return ModelView(model, freedoms, drive, tuple(trace_family(scene)))
-
-
-def observe_scene(title: str, scene: Scene) -> SceneView:
-    """Return the observability of a scene."""
-    found = scene.rank()
-    return SceneView(title, scene, found, tuple(in_words(scene, found.null)))
 
 
 def observe_motions() -> tuple[SceneView, ...]:
@@ -257,21 +264,8 @@ def observe_motions() -> tuple[SceneView, ...]:
         (5, "straight", ("turn-scale",)),
     ]
     return tuple(
-        observe_scene(_title(q, motion, unknown), make_scene(q, motion, unknown))
+        SceneView(_title(q, motion, unknown), make_scene(q, motion, unknown))
         for q, motion, unknown in cases
-    )
-
-
-def model_scene(model: ModelRank) -> Scene:
-    """Return the point of a model's null space as a scene with one pose."""
-    q = model.landmarks
-    names = tuple(f"L{i + 1}" for i in range(q))
-    visible, stored = np.ones((1, q), bool), np.ones(q, bool)
-    return Scene(
-        *(names, model.home, model.marks, np.zeros((1, 3)), visible, stored),
-        compass=model.compass,
-        distances=model.distances,
-        axis="the robot's heading",
     )
 
 

@@ -1,4 +1,4 @@
-"""Analysis of a plan: accuracy map, and what hiding landmarks costs."""
+"""Analysis of a plan: accuracy at places of its floor, and what hiding landmarks costs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 
@@ -14,60 +14,12 @@ from homeward.lab.planning.accuracy import Arcs, Information, home_sees
 from homeward.lab.planning.floor import Floor, check_place, make_floor
 from homeward.lab.planning.settings import Plan
 
+CHUNK = 500
+"""Number of places in a group."""
 SLICE = 4000
 """Number of matrices inverted at once, so that they stay in the cache."""
 
 Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Places:
-    """n places and q landmarks."""
-
-    arcs: Arcs
-    floor: Floor
-    places: np.ndarray
-    """(n, 2) [m]"""
-    marks: np.ndarray
-    """(q, 2) [m]"""
-    stored: np.ndarray
-    """(q,), bool"""
-
-    @cached_property
-    def visible(self) -> np.ndarray:
-        """(n, q), bool: line of sight; computed lazily, in a thread."""
-        return self.floor.sees(self.places, self.marks)
-
-    def results(self) -> tuple[np.ndarray, ...]:
-        """Return position, heading, common (n,), score (n,), and scores with one hidden (n, q)."""
-        n, q = len(self.places), len(self.marks)
-        position, heading = np.full(n, np.inf), np.full(n, np.inf)
-        common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, q), np.inf)
-        for h in range(len(self.arcs.headings)):
-            info = self.arcs.information(self.places, self.marks, self.visible, self.stored, h)
-            fix = self.arcs.fix(info.every)
-            common = np.maximum(common, info.count)
-            better = fix.position < position
-            position = np.where(better, fix.position, position)
-            heading = np.where(better, fix.heading, heading)
-            here = self.arcs.score(fix, info.count)
-            score = np.minimum(score, here)
-            hidden = np.minimum(hidden, self._without_each(info, here))
-        return position, heading, common, score, hidden
-
-    def _without_each(self, info: Information, score: np.ndarray) -> np.ndarray:
-        """Return scores (n, q) without each landmark, given those with all landmarks (n,)."""
-        out = np.repeat(score[:, None], len(self.marks), axis=1)
-        place, mark = np.nonzero(info.seen)
-        for begin in range(0, place.size, SLICE):
-            row, hidden = place[begin : begin + SLICE], mark[begin : begin + SLICE]
-            fix = self.arcs.fix(info.every[row] - info.each[row, hidden])
-            out[row, hidden] = self.arcs.score(fix, info.count[row] - info.common[row, hidden])
-        return out
-
-
-CHUNK = 500
-"""Number of places in a group."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +32,8 @@ class PlanView:
 
     plan: Plan
     floor: Floor
-    names: tuple[str, ...]
+    places: np.ndarray
+    """(n, 2), the free points of the floor, or one place [m]."""
     marks: np.ndarray
     """(q, 2) [m]"""
     stored: np.ndarray
@@ -97,6 +50,11 @@ class PlanView:
     """(n, q), the score with one landmark hidden."""
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """(q,), ids of the landmarks."""
+        return tuple(self.plan.landmarks)
+
+    @property
     def begins(self) -> np.ndarray:
         """(n,), bool: where homing can begin."""
         return np.asarray(self.score <= 1)
@@ -107,56 +65,61 @@ class PlanView:
         worst = np.column_stack([self.score, self.hidden]).max(axis=1)
         return np.asarray(worst <= 1)
 
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Landmarks without any one of which homing can begin at none of the places."""
+        best = self.hidden.min(axis=0)
+        return tuple(n for n, score in zip(self.names, best, strict=True) if not score <= 1)
 
-def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
-    """Analyse a plan; errors as `make_floor`."""
+
+def analyse(
+    plan: Plan, progress: Progress | None = None, place: tuple[float, float] | None = None
+) -> PlanView:
+    """Analyse a plan at all free points of its grid, or at one place [m].
+
+    Raises `InputError` as `make_floor`, and for a place outside the outline or in a shelf.
+    """
     floor, arcs, marks = make_floor(plan), Arcs(plan), plan.marks
+    if place is not None:
+        check_place("--from", place, floor)
+    places = floor.points if place is None else np.array([place])
     stored, found = home_sees(plan, floor, marks), []
-    parts = np.array_split(floor.points, -(-len(floor.points) // CHUNK))
-    groups = [Places(arcs, floor, part, marks, stored) for part in parts]
+    groups = np.array_split(places, -(-len(places) // CHUNK))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for k, result in enumerate(pool.map(Places.results, groups)):
+        for k, result in enumerate(pool.map(partial(_at, arcs, floor, marks, stored), groups)):
             found.append(result)
             if progress is not None:
                 progress((k + 1) / len(groups))
     joined = (np.concatenate(part) for part in zip(*found, strict=True))
-    return PlanView(plan, floor, tuple(plan.landmarks), marks, stored, *joined)
+    return PlanView(plan, floor, places, marks, stored, *joined)
 
 
-@dataclass(frozen=True)
-class StartView:
-    """Whether homing can begin at one place; errors and score as in `PlanView`."""
-
-    plan: Plan
-    place: tuple[float, float]
-    """[m]"""
-    position: float
-    heading: float
-    common: int
-    score: float
-    hidden: np.ndarray
-    """(q,)"""
-
-    @property
-    def begins(self) -> bool:
-        """Whether homing can begin."""
-        return self.score <= 1
-
-    @property
-    def costly(self) -> tuple[str, ...]:
-        """Landmarks without any one of which homing could not begin."""
-        return tuple(n for n, s in zip(self.plan.landmarks, self.hidden, strict=True) if not s <= 1)
+def _at(
+    arcs: Arcs, floor: Floor, marks: np.ndarray, stored: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return position, heading, common (n,), score (n,), and scores with one hidden (n, q)."""
+    n, visible = len(places), floor.sees(places, marks)
+    position, heading = np.full(n, np.inf), np.full(n, np.inf)
+    common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, len(marks)), np.inf)
+    for h in range(len(arcs.headings)):
+        info = arcs.information(places, marks, visible, stored, h)
+        fix = arcs.fix(info.every)
+        common = np.maximum(common, info.count)
+        better = fix.position < position
+        position = np.where(better, fix.position, position)
+        heading = np.where(better, fix.heading, heading)
+        here = arcs.score(fix, info.count)
+        score = np.minimum(score, here)
+        hidden = np.minimum(hidden, _without_each(arcs, info, here))
+    return position, heading, common, score, hidden
 
 
-def analyse_start(plan: Plan, place: tuple[float, float]) -> StartView:
-    """Analyse one place of a plan.
-
-    Raises `InputError` as `make_floor`, and for a place outside the outline or in a shelf.
-    """
-    floor = make_floor(plan)
-    check_place("--from", place, floor)
-    marks = plan.marks
-    places = Places(Arcs(plan), floor, np.array([place]), marks, home_sees(plan, floor, marks))
-    position, heading, common, score, hidden = (values[0] for values in places.results())
-    figures = float(position), float(heading), int(common), float(score)
-    return StartView(plan, place, *figures, hidden)
+def _without_each(arcs: Arcs, info: Information, score: np.ndarray) -> np.ndarray:
+    """Return scores (n, q) without each landmark, given those with all landmarks (n,)."""
+    out = np.repeat(score[:, None], info.seen.shape[1], axis=1)
+    place, mark = np.nonzero(info.seen)
+    for begin in range(0, place.size, SLICE):
+        row, hidden = place[begin : begin + SLICE], mark[begin : begin + SLICE]
+        fix = arcs.fix(info.every[row] - info.each[row, hidden])
+        out[row, hidden] = arcs.score(fix, info.count[row] - info.common[row, hidden])
+    return out

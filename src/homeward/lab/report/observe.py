@@ -220,13 +220,12 @@ def _window_rows(view: DriveView) -> list[list[object]]:
 def model_summary(view: ModelView) -> str:
     """Return the unobservable directions in a few sentences."""
     if view.model is not None:
-        m = view.model
-        known = [
-            w for w, yes in (("a compass", m.compass), ("known distances", m.distances)) if yes
-        ]
-        extra = f" and {' and '.join(known)}" if known else ""
-        head = f"With {words.count(m.landmarks, 'landmark')}{extra}, bearings determine {m.rank} of"
-        head += f" the {m.n} dimensions of the state."
+        m, given = view.model, view.model.scene
+        known = {"a compass": given.compass, "known distances": given.distances}
+        extra = "".join(f" and {name}" for name, is_known in known.items() if is_known)
+        marks = words.count(len(given.names), "landmark")
+        head = f"With {marks}{extra}, bearings determine {m.rank} of the {m.n}"
+        head += " dimensions of the state."
     else:
         d = view.drive
         head = (

@@ -19,7 +19,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
 from homeward.lab.planning.accuracy import Arcs
-from homeward.lab.planning.analysis import PlanView, StartView
+from homeward.lab.planning.analysis import PlanView
 from homeward.runs.report import html, words
 from homeward.runs.report.canvas import (
     WIDTH_IN,
@@ -220,25 +220,26 @@ def plan_summary(view: PlanView) -> str:
     return " ".join([begin, *_worst(view)])
 
 
-def start_summary(view: StartView) -> str:
-    """Return in sentences whether homing can begin at a place, and why not."""
-    limits, place = view.plan.limits, "({:g}, {:g})".format(*view.place)
-    common = f"{words.count(view.common, 'landmark')} in common with home"
-    if view.common < limits.landmarks:
+def start_summary(view: PlanView) -> str:
+    """Return in sentences whether homing can begin at the only place of a view, and why not."""
+    limits, place = view.plan.limits, "({:g}, {:g})".format(*view.places[0])
+    number, position, heading = int(view.common[0]), float(view.position[0]), float(view.heading[0])
+    common = f"{words.count(number, 'landmark')} in common with home"
+    if number < limits.landmarks:
         return f"Homing cannot begin at {place}: {common}, and the limit is {limits.landmarks}."
-    if not np.isfinite(view.position):
+    if not np.isfinite(position):
         return f"Homing cannot begin at {place}: the pose is not observable there."
     errors = (
-        f"{common}, and minimum errors of {words.quantity(view.position, 'm')} (limit"
-        f" {words.quantity(limits.position, 'm')}) and {words.degrees(view.heading)} (limit"
+        f"{common}, and minimum errors of {words.quantity(position, 'm')} (limit"
+        f" {words.quantity(limits.position, 'm')}) and {words.degrees(heading)} (limit"
         f" {words.degrees(limits.heading)}) after an arc of"
         f" {words.quantity(view.plan.drive.length, 'm')}."
     )
-    if not view.begins:
+    if not view.begins[0]:
         return f"Homing cannot begin at {place}: {errors}"
     hidden = "Also with any one landmark hidden."
-    if view.costly:
-        names = words.listing([words.name(name) for name in view.costly])
+    if view.needed:
+        names = words.listing([words.name(name) for name in view.needed])
         hidden = f"It needs each of these landmarks: {names}."
     return f"Homing can begin at {place}: {errors} {hidden}"
 
@@ -376,7 +377,7 @@ def _settings(view: PlanView) -> str:
 
 def _write_floor(file: Path, view: PlanView) -> None:
     """Write the map as CSV, empty where the pose is not observable."""
-    columns = np.column_stack([view.floor.points, view.position, view.heading])
+    columns = np.column_stack([view.places, view.position, view.heading])
     flags = (np.where(yes, "yes", "no") for yes in (view.begins, view.safe))
     rows = zip(columns, view.common, *flags, strict=True)
     write_csv(

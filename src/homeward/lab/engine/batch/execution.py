@@ -26,7 +26,7 @@ from homeward.lab.engine.batch.job import (
     Job,
     Result,
     empty_result,
-    given_values,
+    job_of,
     shaped,
 )
 from homeward.lab.engine.native.source import Source, choose, source_of
@@ -294,14 +294,8 @@ def run_recorded(
     ValueError
         For an unknown variable or a wrong shape.
     """
-    program, series = filter_program(kind), _with_mask(series)
-    known = program.shapes
-    for name in (*given, *series, *final, *history):
-        if name not in known:
-            raise ValueError(f"{name}: the filter has no such variable")
-    start = tuple(given_values(k, v, known[k], runs) for k, v in given.items())
-    each = tuple(given_values(k, v, known[k], runs, steps) for k, v in series.items())
-    job = Job(program, runs, steps, start, each, tuple(final), tuple(history))
+    program = filter_program(kind)
+    job = job_of(program, given, _with_mask(series), runs, steps, history, final)
     return execute(job, engine, threads)
 
 

@@ -13,7 +13,7 @@ from homeward.control.laws import homing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Twist
 from homeward.lab.engine.batch.execution import execute
-from homeward.lab.engine.batch.job import Draw, Given, Job, Result, given_values
+from homeward.lab.engine.batch.job import Draw, Result, job_of
 from homeward.lab.engine.program import OBSERVE, Program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function, steps
 from homeward.lab.filters.settings import Engine
@@ -193,34 +193,18 @@ def run_homing(
     """
     program, q = homing_program(kind, law), kind.model.q
     extra = {"bearing_sigma": q, "disturbance_sigma": 2, "visibility": q}
-    shapes = {**program.shapes, **{k: (size,) for k, size in extra.items()}}
     values = {"visibility": 1.0, "gate": np.inf, **given}
     series = series or {}
-    for name in (*values, *series, *history):
-        if name not in shapes:
-            raise ValueError(f"{name}: the closed loop has no such variable")
-    start = tuple(given_values(k, v, shapes[k], runs) for k, v in values.items())
-    job = Job(
-        program=program,
-        extra=extra,
-        runs=runs,
-        steps=steps,
-        first_run=first_run,
+    # Variables in `series`, and those with a scale of zero, are not drawn.
+    draws = tuple(
+        d for d in DRAWS if d.name not in series and np.any(np.asarray(values.get(d.scale, 0.0)))
+    )
+    job = job_of(
+        *(program, values, series, runs, steps, history, ("pose", "state"), extra),
         seed=seed,
-        start=start,
-        series=tuple(given_values(k, v, shapes[k], runs, steps) for k, v in series.items()),
-        draws=_required_draws(start, series),
+        first_run=first_run,
+        draws=draws,
         sums=("squared_error", "nees"),
-        final=("pose", "state"),
-        history=tuple(history),
         stop="arrived",
     )
     return HomingResult(**vars(execute(job, engine, threads)))
-
-
-def _required_draws(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:
-    """Return the draws that `series` does not give and whose scale is not zero."""
-    scales = {g.name: g.values for g in start}
-    return tuple(
-        d for d in DRAWS if d.name not in series and np.any(scales.get(d.scale, np.zeros(1)))
-    )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -114,6 +115,32 @@ def shaped(job: Job, result: Result) -> Result:
             square = flat.reshape(*flat.shape[:-1], *reversed(shape))
             kept[name] = np.swapaxes(square, -1, -2) if len(shape) == 2 else square
     return result
+
+
+def job_of(
+    program: Program,
+    given: Mapping[str, ArrayLike],
+    series: Mapping[str, ArrayLike],
+    runs: int,
+    steps: int,
+    history: Sequence[str],
+    final: Sequence[str],
+    extra: Mapping[str, int] | None = None,
+    **other: Any,
+) -> Job:
+    """Return a job with values given by name: constants, and inputs of each step.
+
+    `other` are further fields of `Job`. Raises `ValueError` for an unknown name or a wrong shape.
+    """
+    extra = extra or {}
+    shapes = program.shapes | {name: (size,) for name, size in extra.items()}
+    for name in (*given, *series, *final, *history):
+        if name not in shapes:
+            raise ValueError(f"{name}: there is no such variable")
+    start = tuple(given_values(k, v, shapes[k], runs) for k, v in given.items())
+    each = tuple(given_values(k, v, shapes[k], runs, steps) for k, v in series.items())
+    kept = tuple(final), tuple(history)
+    return Job(program, runs, steps, start, each, *kept, extra=extra, **other)
 
 
 def given_values(

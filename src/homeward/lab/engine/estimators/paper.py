@@ -1,7 +1,8 @@
 """Constructors of the paper's three filters and their peers.
 
-A filter's own settings take precedence over the drive's, and these over defaults. A peer is made
-from a `FilterConfig`, and raises `InputError` where home is empty or there is no start prior.
+A filter's own settings take precedence over the drive's, and these over defaults. All are made from
+a `FilterConfig` by the functions in `MAKERS`, which raise `InputError` where home is empty or there
+is no start prior.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, Literal, TypeVar, Unpack
 
 import numpy as np
@@ -116,7 +118,17 @@ class FilterConfig(Generic[Settings]):
         """Return the paper's model with some home bearings as states."""
         return PolarModel(len(self.home), estimated, self.settings.guard)
 
-    def runner(
+    def filter(
+        self: FilterConfig[FilterSettings],
+        kind: ExtendedKalmanFilter,
+        make: type[FilterRunner] = FilterRunner,
+        **numbers: Any,
+    ) -> OnlineFilter:
+        """Return a filter in the paper's state as an estimator; `numbers` as for `tuning`."""
+        tuning = self.tuning(kind, **numbers)
+        return self.online(make(kind, tuning, self.settings.engine, self.samples))
+
+    def tuning(
         self: FilterConfig[FilterSettings],
         kind: ExtendedKalmanFilter,
         *,
@@ -124,14 +136,13 @@ class FilterConfig(Generic[Settings]):
         parameter_density: float = 0.0,
         proportional: np.ndarray | None = None,
         integral_gain: np.ndarray | None = None,
-        make: type[FilterRunner] = FilterRunner,
-    ) -> FilterRunner:
-        """Return a filter in the paper's state with its tuning; errors as of `start`."""
+    ) -> Tuning:
+        """Return the tuning of a filter in the paper's state; errors as of `start`."""
         q, parameters = kind.model.q, np.ones(len(kind.model.estimated))
         walk, nothing = BEARING_WALK**2, np.zeros((0, 0))
         before = [np.square(self.start_sigmas), np.ones(q), parameter_variance * parameters]
         density = [np.zeros(POLAR), np.full(q, walk), parameter_density * parameters]
-        tuning = Tuning(
+        return Tuning(
             polar=self.start.polar,
             variance=np.concatenate(before),
             stored=self.stored,
@@ -143,13 +154,6 @@ class FilterConfig(Generic[Settings]):
             proportional=nothing if proportional is None else proportional,
             integral_gain=nothing if integral_gain is None else integral_gain,
         )
-        return make(kind, tuning, self.settings.engine, self.samples)
-
-    def filter(
-        self: FilterConfig[FilterSettings], kind: ExtendedKalmanFilter, **numbers: Any
-    ) -> OnlineFilter:
-        """Return a filter in the paper's state as an estimator; `numbers` as for `runner`."""
-        return self.online(self.runner(kind, **numbers))
 
     def online(self, backend: FilterBackend) -> OnlineFilter:
         """Return a backend as an estimator."""
@@ -178,9 +182,6 @@ def first_given(*values: float | None) -> float:
     return next(v for v in values if v is not None)
 
 
-Checked = TypeVar("Checked", bound=FilterSettings)
-
-
 def ekf(
     home: Home,
     *,
@@ -206,8 +207,7 @@ def ekf(
     InputError
         When a value is invalid, home is empty, or there is no start prior.
     """
-    config = _config("ekf", home, known_settings(FilterSettings, settings), robot, samples)
-    return config.filter(ExtendedKalmanFilter(config.model(), config.settings.integration))
+    return _made("ekf", home, known_settings(FilterSettings, settings), robot, samples)
 
 
 def a_ekf(
@@ -218,14 +218,7 @@ def a_ekf(
     **robot: Unpack[Robot],
 ) -> OnlineFilter:
     """Return the paper's A-EKF; parameters and errors as of `ekf`."""
-    config = _config("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
-    own, q = config.settings, len(config.home)
-    indices = config.indices("parameters", own.parameters)
-    return config.filter(
-        augmented_ekf(q, indices, own.integration, own.guard),
-        parameter_variance=own.parameter_sigma**2,
-        parameter_density=own.parameter_walk**2,
-    )
+    return _made("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
 
 
 def pi_ekf(
@@ -237,7 +230,42 @@ def pi_ekf(
 ) -> OnlineFilter:
     """Return the paper's PI-EKF; parameters and errors as of `ekf`."""
     checked = known_settings(ProportionalIntegralSettings, settings)
-    config = _config("pi-ekf", home, checked, robot, samples)
+    return _made("pi-ekf", home, checked, robot, samples)
+
+
+def filter_for(name: str, drive: Drive, settings: Any) -> OnlineFilter:
+    """Return a filter by its name for a drive."""
+    samples = drive.odometry.t.size + drive.sightings.t.size
+    return _made(name, drive.home, settings, drive.settings.robot, samples)
+
+
+def _made(
+    name: str, home: Home, settings: NoiseSettings, robot: Robot, samples: int
+) -> OnlineFilter:
+    known = known_home(home)
+    if any(map(is_unlabelled, known)):
+        raise InputError(f"home has landmarks without ids, and {name} needs an id for each")
+    return MAKERS[name](FilterConfig(name, known, known_robot(robot), settings, samples))
+
+
+def _extended(
+    config: FilterConfig[FilterSettings], make: type[FilterRunner] = FilterRunner
+) -> OnlineFilter:
+    kind = ExtendedKalmanFilter(config.model(), config.settings.integration)
+    return config.filter(kind, make)
+
+
+def _augmented(config: FilterConfig[AugmentedSettings]) -> OnlineFilter:
+    own = config.settings
+    indices = config.indices("parameters", own.parameters)
+    return config.filter(
+        augmented_ekf(len(config.home), indices, own.integration, own.guard),
+        parameter_variance=own.parameter_sigma**2,
+        parameter_density=own.parameter_walk**2,
+    )
+
+
+def _proportional_integral(config: FilterConfig[ProportionalIntegralSettings]) -> OnlineFilter:
     own, model = config.settings, config.model()
     n, q = model.n, model.q
     # The paper's R is in cm: one unit of an innovation moves it by 1 cm, not 1 m.
@@ -250,15 +278,6 @@ def pi_ekf(
     )
 
 
-def _config(
-    name: str, home: Home, settings: Checked, robot: Robot, samples: int
-) -> FilterConfig[Checked]:
-    known = known_home(home)
-    if any(map(is_unlabelled, known)):
-        raise InputError(f"home has landmarks without ids, and {name} needs an id for each")
-    return FilterConfig(name, known, known_robot(robot), settings, samples)
-
-
 def _matrix(
     name: str, value: float | Matrix, shape: tuple[int, int], unit: np.ndarray
 ) -> np.ndarray:
@@ -269,36 +288,26 @@ def _matrix(
     return np.array(value)
 
 
-def adaptive(config: FilterConfig[FilterSettings]) -> OnlineFilter:
-    """Return the EKF that estimates its noise."""
-    kind = ExtendedKalmanFilter(config.model(), config.settings.integration)
-    return config.filter(kind, make=AdaptiveRunner)
-
-
-def schmidt(config: FilterConfig[SchmidtSettings]) -> OnlineFilter:
-    """Return the EKF that considers uncertain home bearings."""
+def _considered(config: FilterConfig[SchmidtSettings]) -> OnlineFilter:
     own = config.settings
     kind = SchmidtFilter(config.model(config.indices("doubtful", own.doubtful)), own.integration)
     return config.filter(kind, parameter_variance=own.doubt_sigma**2)
 
 
-def ukf(config: FilterConfig[FilterSettings]) -> OnlineFilter:
-    """Return the UKF."""
+def _unscented(config: FilterConfig[FilterSettings]) -> OnlineFilter:
     return config.filter(UnscentedFilter(config.model(), config.settings.integration))
 
 
-def invariant(config: FilterConfig[CartesianSettings]) -> OnlineFilter:
-    """Return the invariant EKF."""
+def _invariant(config: FilterConfig[CartesianSettings]) -> OnlineFilter:
     return config.online(
         InvariantFilter(*_prior_and_noise(config), config.settings.minimum_visible)
     )
 
 
-def particle(config: FilterConfig[ParticleSettings]) -> OnlineFilter:
-    """Return the particle filter."""
+def _particle(config: FilterConfig[ParticleSettings]) -> OnlineFilter:
     own = config.settings
-    prior, noise = _prior_and_noise(config)
     sampling = own.particles, own.outliers, own.seed
+    prior, noise = _prior_and_noise(config)
     return config.online(ParticleFilter(prior, noise, *sampling, own.minimum_visible))
 
 
@@ -313,20 +322,14 @@ def _prior_and_noise(
     return prior, SensorNoise(config.input_density, config.bearing_sigma, own.gate_threshold)
 
 
-PEERS: dict[str, Callable[[FilterConfig[Any]], OnlineFilter]] = {
-    "adaptive": adaptive,
-    "invariant": invariant,
-    "particle": particle,
-    "schmidt": schmidt,
-    "ukf": ukf,
+MAKERS: dict[str, Callable[[FilterConfig[Any]], OnlineFilter]] = {
+    "ekf": _extended,
+    "a-ekf": _augmented,
+    "pi-ekf": _proportional_integral,
+    "adaptive": partial(_extended, make=AdaptiveRunner),
+    "invariant": _invariant,
+    "particle": _particle,
+    "schmidt": _considered,
+    "ukf": _unscented,
 }
-
-
-def filter_for(name: str, drive: Drive, settings: Any) -> OnlineFilter:
-    """Return a filter by its name for a drive."""
-    samples = drive.odometry.t.size + drive.sightings.t.size
-    if name in PEERS:
-        home = known_home(drive.home)
-        return PEERS[name](FilterConfig(name, home, drive.settings, settings, samples))
-    make = {"ekf": ekf, "a-ekf": a_ekf, "pi-ekf": pi_ekf}[name]
-    return make(drive.home, settings=settings, samples=samples, **drive.settings.robot)
+"""By name."""

@@ -11,19 +11,19 @@ from string import Template
 import casadi as ca
 import numpy as np
 
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings, Start
 from homeward.errors import InputError
-from homeward.geometry.frames import Polar, Pose, Twist, advance, bearing, from_polar, to_polar
+from homeward.geometry.frames import Polar, Pose, Twist, advance, bearing, from_polar
 from homeward.lab.engine.batch.job import MAX_BELIEF
-from homeward.lab.engine.estimators.runner import FilterRunner, Tuning
+from homeward.lab.engine.estimators.paper import FilterConfig
+from homeward.lab.engine.estimators.runner import FilterRunner
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, steps
 from homeward.lab.filters.settings import (
     BEARING_WALK,
-    DEFAULT_BEARING_SIGMA,
-    DEFAULT_SPEED_SIGMA,
-    DEFAULT_TURN_SIGMA,
     FilterSettings,
 )
-from homeward.lab.model import POLAR, PolarModel
+from homeward.lab.model import PolarModel
 
 SOURCE = "homeward_ekf.c"
 MARKER = "homeward_ekf.h"
@@ -31,7 +31,7 @@ MARKER = "homeward_ekf.h"
 MAX_LANDMARKS = 32
 SAMPLES, DT = 60, 0.05
 """Of the example, and their interval [s]."""
-EXAMPLE_SIGMAS = (0.05, 0.1, 0.1)
+EXAMPLE_START, EXAMPLE_SIGMAS = Polar(0.75, -0.872, 0.349), (0.05, 0.1, 0.1)
 """Of the example's start prior: R [m], theta, alpha [rad]."""
 
 
@@ -78,15 +78,16 @@ def _in_floats(text: str) -> str:
 
 def _step_values(kind: ExtendedKalmanFilter, settings: FilterSettings) -> dict[str, object]:
     functions = steps(kind, 0)
-    bearing_sigma, speed_sigma, turn_sigma = _sigmas(settings)
+    noise = _config(kind.model.q, settings)
+    speed_variance, turn_variance = noise.input_density.tolist()
     values: dict[str, object] = {
         "work": max(f.sz_w() for f in functions.values()),
         "indices": max(f.sz_iw() for f in functions.values()) + 1,
         "largest": f"{MAX_BELIEF:g}",
-        "speed_variance": c_number(speed_sigma**2),
-        "turn_variance": c_number(turn_sigma**2),
+        "speed_variance": c_number(speed_variance),
+        "turn_variance": c_number(turn_variance),
         "walk_variance": c_number(BEARING_WALK**2),
-        "bearing_variance": c_number(bearing_sigma**2),
+        "bearing_variance": c_number(noise.bearing_sigma**2),
         "gate": c_number(settings.gate_threshold),
         "minimum_visible": settings.minimum_visible,
     }
@@ -102,13 +103,11 @@ def _step_values(kind: ExtendedKalmanFilter, settings: FilterSettings) -> dict[s
     return values
 
 
-def _sigmas(settings: FilterSettings) -> tuple[float, float, float]:
-    """Return the standard deviations of bearings, speed and turn rate."""
-    return (
-        settings.bearing_sigma or DEFAULT_BEARING_SIGMA,
-        settings.speed_sigma or DEFAULT_SPEED_SIGMA,
-        settings.turn_sigma or DEFAULT_TURN_SIGMA,
-    )
+def _config(q: int, settings: FilterSettings) -> FilterConfig[FilterSettings]:
+    """Return the example's home and start for these settings."""
+    home = {str(k): HomeBearing(2 * math.pi * k / q) for k in range(q)}
+    known = DriveSettings(start=Start.about(EXAMPLE_START, *EXAMPLE_SIGMAS))
+    return FilterConfig("ekf", home, known, settings, 0)
 
 
 def c_number(value: float) -> str:
@@ -121,22 +120,9 @@ def _example(
 ) -> dict[str, object]:
     """Return the data of a drive on an arc with exact bearings, and Python's pose at its end."""
     q, rng = kind.model.q, np.random.default_rng(0)
-    angles = 2 * np.pi * np.arange(q) / q
-    away = rng.uniform(1.0, 2.0, q)
-    bearing_sigma, *input_sigmas = _sigmas(settings)
-    pose, twist = from_polar(Polar(0.75, -0.872, 0.349)), Twist(0.125, 0.4)
-    tuning = Tuning(
-        polar=to_polar(pose),
-        variance=np.concatenate([np.square(EXAMPLE_SIGMAS), np.ones(q)]),
-        stored=angles,
-        bearing_sigma=bearing_sigma,
-        input_density=np.square(input_sigmas),
-        state_density=np.concatenate([np.zeros(POLAR), np.full(q, BEARING_WALK**2)]),
-        gate=settings.gate_threshold,
-        minimum_visible=settings.minimum_visible,
-        proportional=np.zeros((0, 0)),
-        integral_gain=np.zeros((0, 0)),
-    )
+    tuning = _config(q, settings).tuning(kind)
+    angles, away = tuning.stored, rng.uniform(1.0, 2.0, q)
+    pose, twist = from_polar(EXAMPLE_START), Twist(0.125, 0.4)
     runner = FilterRunner(kind, tuning, "interpreter")
     belief, seen = runner.start(), []
     for _ in range(SAMPLES):

@@ -6,7 +6,7 @@ The loop renders an image, extracts bearings, estimates the pose, and commands a
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,16 +66,9 @@ class Eye:
         mount = self.scenario.home_mount.pose
         return self._view(compose(self.scenario.home.pose, mount), 0)
 
-    def home_picture(self, turned: float = 0.0, number: int = 0) -> np.ndarray:
-        """Return the home image, (height, width, 3), blue green red.
-
-        With `turned` [rad] and an unused `number`, another image from home after a rotation.
-        """
-        scenario, mount = self.scenario, self.scenario.home_mount.pose
-        robot = scenario.home.pose._replace(heading=scenario.home.heading + turned)
-        view = self._view(compose(robot, mount), number)
-        chance = self._chance(number)
-        return picture(self.then, view, scenario.camera, chance)
+    def home_picture(self) -> np.ndarray:
+        """Return the home image, (height, width, 3), blue green red."""
+        return picture(self.then, self.home_view, self.scenario.camera, self._chance(0))
 
     def home_truth(self) -> PixelTruth:
         """Return the ground truth of each pixel of the home image."""
@@ -133,19 +126,16 @@ class ImageDrive(Driven):
 class ImageLoop:
     """Robot at the start, with a camera and a front-end for its images.
 
-    If `blind`, images are rendered but not used. `home` replaces the bearings of the home image.
+    If `blind`, images are rendered but not used.
     """
 
-    def __init__(
-        self, eye: Eye, blind: bool = False, home: Mapping[str, HomeBearing] | None = None
-    ) -> None:
+    def __init__(self, eye: Eye, blind: bool = False) -> None:
         self.eye, self._taken = eye, 0
         self.front_end: FrontEnd | TagFrontEnd | None = None
         self._home: dict[str, HomeBearing] = {}
         if not blind and eye.scenario.tags is not None:
             self.front_end = TagFrontEnd(eye.scenario.camera.known, eye.scenario.tags.family)
-            stored = self.front_end.see(eye.home_picture()).home if home is None else home
-            self._home = dict(stored)
+            self._home = dict(self.front_end.see(eye.home_picture()).home)
         elif not blind:
             camera = panorama_of(eye)
             there = extract(camera.panorama(eye.home_picture()), camera, camera.seen)
