@@ -113,8 +113,11 @@ def many() -> None:
     )
 
 
-def hall_drive(seconds: float, rows: int = 24, seed: int = 0) -> Drive:
-    """Return a drive on lanes of a hall with `rows` by `rows` posts, 3.4 m apart."""
+def hall_drive(seconds: float, rows: int = 24, seed: int = 0, turn_noise: float = 0.02) -> Drive:
+    """Return a drive on lanes of a hall with `rows` by `rows` posts, 3.4 m apart.
+
+    `turn_noise` is that of the odometry [rad/s/sqrt(Hz)].
+    """
     rng, spacing, reach, lane = np.random.default_rng(seed), 3.4, 9.0, 8.0
     edge = 0.5 * rows * spacing - 6.0
     grid = (
@@ -137,7 +140,10 @@ def hall_drive(seconds: float, rows: int = 24, seed: int = 0) -> Drive:
             noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01),
             rates=sim.Rates(odometry=10.0, bearings=RATE, truth=1.0),
             odometry=sim.OdometryErrors(
-                speed_sigma=0.02, turn_sigma=0.02, speed_scale_sigma=0.02, turn_bias_sigma=0.002
+                speed_sigma=0.02,
+                turn_sigma=turn_noise,
+                speed_scale_sigma=0.02,
+                turn_bias_sigma=0.002,
             ),
             start=sim.StartPose(R=1.0, theta=0.3, alpha=0.2, prior=False),
             trajectory=sim.Waypoints(
