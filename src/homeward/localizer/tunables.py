@@ -114,6 +114,8 @@ MAX_RANGE = 20.0
 noise of one or two bearings."""
 MIN_INFORMATION_SHARE = 0.002
 """Share of the information on home that is kept when the spurious part is removed [1]."""
+HOME_ROUNDING = 1e-6
+"""Smallest share of a variance that remains when home is known, above rounding [1]."""
 IMPROBABLE = 1e-3
 """Hypotheses this much less probable than the best are dropped, and flips to such are not tried:
 fifty of them together stay below what the setting `sure` leaves open."""

@@ -6,8 +6,8 @@ the landmarks; a motion to a new keyframe propagates it until the next solution.
 the window are marginalised (Schur complement) into a Gaussian prior on the pose after them, the
 calibration and the landmarks.
 
-Home is not part of it: a home bearing may turn out to be wrong, and nothing that may have to be
-undone is marginalised.
+Home bearings may turn out to be wrong, and nothing that may have to be undone is marginalised.
+Where they move the map by more than bearings are linear, they are factors of each solution anew.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from homeward.localizer.map.sightings import (
     step_row,
 )
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.factors import SurveyFactors
+from homeward.localizer.map.survey.factors import HomeFactors, HomeInformation, SurveyFactors
 from homeward.localizer.motions import (
     CAMERA_YAW,
     DELAY,
@@ -148,7 +148,13 @@ class Smoother:
         self.time_constant_prior = mean, max(sigma, FIXED_TIME_CONSTANT_S)
         """... of the time constant: its mean and standard deviation [s] ..."""
         self.survey = SurveyFactors.none()
-        """... and the survey of landmarks."""
+        """... of the survey of landmarks ..."""
+        self.at_home: HomeFactors | None = None
+        """... and of home bearings."""
+        self._known_by_home: HomeInformation | None = None
+        """What they added to the present state ..."""
+        self._added: HomeInformation | None = None
+        """... and to the normal equations that were built last."""
         self.one_sided = list(ONE_SIDED)
         """Unknowns that cannot be negative, as long as odometry is not corrected for them."""
         self._bounded = np.zeros(NC, bool)
@@ -422,6 +428,7 @@ class Smoother:
         every = np.append(self.ids, back)
         order = every.argsort()
         joint = self.all_landmarks.joint(every[order])
+        self._known_by_home = self._added
         self._move_linearisation_point()
         index = self.passive.index(back)
         p_static = self.passive.p_static[index]
@@ -472,6 +479,7 @@ class Smoother:
         found = kernels.solve(self._window(), self._add_more())
         mean = np.concatenate([found.poses[-1], found.shared])
         self._poses, self.state = GrowingTable.of(found.poses), Marginal(mean, found.covariance)
+        self._known_by_home = self._added
         self._bounded, self.converged = found.is_bounded, found.has_converged
         if self.converged:
             self._converged_at = self.newest
@@ -556,6 +564,11 @@ class Smoother:
         before = self._prior.replace(eliminated, self._linearisation_point(), drift)
         self.passive.replace(slice(3, HEAD), before)
 
+    def without_home(self, state: Marginal) -> Marginal:
+        """Return a state of the last solution, or propagated from it, without home factors."""
+        known = self._known_by_home
+        return state if known is None else known.removed_from(state, self.ids)
+
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""
         rows = self.sightings
@@ -600,13 +613,18 @@ class Smoother:
         return Window(self.poses, shared, *known, weights, means, *bounds)
 
     def _add_more(self) -> AddMore | None:
-        """Return what adds survey and ranges to normal equations; None: there are none."""
+        """Return what adds survey, home and ranges to normal equations; None: there are none."""
         add_ranges, survey, ids = self._add_ranges(self.sightings), self.survey, self.ids
-        if not survey.is_given:
+        at_home, self._added = self.at_home and self.at_home.among(ids), None
+        if not survey.is_given and at_home is None:
             return add_ranges
 
         def add(e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
-            survey.add_to(e, shared[NC:].reshape(-1, 2), ids)
+            positions = shared[NC:].reshape(-1, 2)
+            if survey.is_given:
+                survey.add_to(e, positions, ids)
+            if at_home is not None:
+                self._added = at_home.add_to(e, positions, ids)
             if add_ranges is not None:
                 add_ranges(e, poses, shared)
 
