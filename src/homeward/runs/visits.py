@@ -99,7 +99,7 @@ def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> No
         )
     elif store.home == FIRST_HOME:
         raise InputError(
-            f"{quoted(FIRST_HOME)} is the first home of a new place, from the drive's home bearings",
+            f"{quoted(FIRST_HOME)} is the first home of a new place, of the drive's home bearings",
             part="--store-home",
             advice="choose another name for the end of the drive",
         )
