@@ -62,6 +62,11 @@ ENDS: Mapping[int, Sequence[str]] = {2: "xy", 3: XYZ}
 """Names of the values of an array of a tag's corners, and of others by their number."""
 UNIT_NORM = 0.01
 """Maximum deviation of a quaternion's norm from 1; two digits in a file cause half of it."""
+JSON = (
+    "write it as CSV with a row for each detection, as with pandas.json_normalize(json.load(open("
+    "FILE)), 'detections', 'timestamp').to_csv('detections.csv'), or add a source "
+    "(docs/do/sources.md)"
+)
 EXPORT, UNPACK = "export it as CSV", "unpack it"
 FORMATS = (
     ((b"PK\x03\x04",), "a spreadsheet or zip archive", "export it as CSV, or unpack it"),
@@ -85,7 +90,7 @@ FORMATS = (
         "the output of `ros2 topic echo`",
         "use `ros2 topic echo --csv`, or record a bag",
     ),
-    ((b'{"', b"[{", b"[["), "JSON", "export it as CSV, as with pandas.read_json(...).to_csv(...)"),
+    ((b'{"', b"[{", b"[["), "JSON", JSON),
 )
 """First bytes, also without white space; description and advice."""
 
