@@ -255,6 +255,8 @@ def _unknown(
     return InputError(
         f"{what} in unknown axes ({ranges})",
         one.path,
-        advice=f"give the axes, as in --columns {' or '.join(options)}, or, if they are pixels, "
+        advice="add a column of times if they are detections, or "
+        * (kind == "home")
+        + f"give the axes, as in --columns {' or '.join(options)}, or, if they are pixels, "
         "the camera: --camera FILE",
     )
