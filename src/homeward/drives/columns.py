@@ -37,14 +37,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 """Units of each quantity, in SI; the SI unit first. Those of wheels are in ticks, rad or m."""
 _SPELT = {
     **{"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms"},
-    **{
-        "usec": "us",
-        "µs": "us",
-        "micros": "us",
-        "microseconds": "us",
-        "nsec": "ns",
-        "nanoseconds": "ns",
-    },
+    **{"usec": "us", "µs": "us", "micros": "us", "microseconds": "us"},
+    **{"nsec": "ns", "nanoseconds": "ns"},
     **{"mps": "m/s", "kph": "km/h", "kmh": "km/h", "dps": "deg/s", "°/s": "deg/s"},
     **{"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "metres": "m"},
     **{"meters": "m", "degrees/s": "deg/s", "radians/s": "rad/s", "m_s": "m/s"},

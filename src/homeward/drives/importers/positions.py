@@ -251,12 +251,9 @@ def _unknown(
         if set(roles.values()) <= set(by_axis):
             columns = ", ".join(f"{role}={by_axis[axis].name}" for role, axis in roles.items())
             options.append(f"'{one.path.name}: {columns}' ({name} axes)")
-    what = "a survey, or home positions" if kind == "home" else "positions"
-    return InputError(
-        f"{what} in unknown axes ({ranges})",
-        one.path,
-        advice="add a column of times if they are detections, or "
-        * (kind == "home")
-        + f"give the axes, as in --columns {' or '.join(options)}, or, if they are pixels, "
-        "the camera: --camera FILE",
-    )
+    what, advice = "positions", f"give the axes, as in --columns {' or '.join(options)}"
+    advice += ", or, if they are pixels, the camera: --camera FILE"
+    if kind == "home":
+        what = "a survey, or home positions"
+        advice = f"add a column of times if they are detections, or {advice}"
+    return InputError(f"{what} in unknown axes ({ranges})", one.path, advice=advice)
