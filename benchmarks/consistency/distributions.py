@@ -25,9 +25,9 @@ LEVELS = np.linspace(0.01, 0.99, 99)
 BOOTSTRAPS = 2000
 
 
-def contained(drive_name: Run) -> Figures:
+def contained(one: Run) -> Figures:
     """Return the shares of the time of a drive in each ellipse of `LEVELS`; NaN without a pose."""
-    scenario, _, seed = drive_name
+    scenario, _, seed = one
     if scenario == MRCLAM:
         drive = drive_of(1 + seed % 5, seed, HOMES[seed // 5 % len(HOMES)])
     else:

@@ -49,15 +49,15 @@ def visit(drive: Drive, place: Place | None, when: float) -> tuple[Track, Place]
     return track, after
 
 
-def measured(run_: Run, days: int) -> Figures:
+def measured(one: Run, days: int) -> Figures:
     """Return the figures of a memory in one warehouse, by day."""
-    hall, place, found = Warehouse(run_.seed), None, defaultdict(list)
+    hall, place, found = Warehouse(one.seed), None, defaultdict(list)
     first_home, bound, last_known = {}, math.nan, dict[str, tuple[float, float]]()
     for day in range(days):
         if day:
             hall.night()
         drive = hall.drive()
-        if run_.scenario == PLACE:
+        if one.scenario == PLACE:
             before = place
             track, place = visit(drive, before, float(day))
             if before is None:
@@ -71,7 +71,7 @@ def measured(run_: Run, days: int) -> Figures:
                     found[name].append(number)
             last_known |= {n: hall.places[n] for n in drive.sightings.landmark.tolist()}
         elif day:
-            home = drive.home if run_.scenario == NO_MEMORY else first_home
+            home = drive.home if one.scenario == NO_MEMORY else first_home
             track = run(drive, Localizer(home, **drive.settings.robot))
         else:
             first_home = drive.home

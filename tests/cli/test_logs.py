@@ -145,5 +145,7 @@ def test_notes_name_the_file_that_a_log_has(tmp_path):
     ]
     assert "under `sensor:` in drive.yaml: x: 0.2" in notes[0]
     assert "under `sensor:` of `drive:` in the topics file (--topics): x: 0.2" in notes[1]
+    assert "landmarks.yaml of the drive folder" in notes[0]
+    assert "landmarks.yaml of a drive folder (`homeward convert` makes it" in notes[1]
     # What is wrong with this robot is before what every run without a distance has.
     assert notes[0].startswith("Camera extrinsics")

@@ -1,6 +1,7 @@
 """What new users typed in their first hour: each answer is a command that works."""
 
 import dataclasses
+import re
 import shlex
 import shutil
 import sys
@@ -62,6 +63,21 @@ def test_a_home_next_to_a_log_is_proposed(here):
     assert following == "Next: homeward run log.mcap --home home.csv"
 
 
+def test_the_command_for_the_tables_of_this_folder_names_it(here, monkeypatch):
+    (here / "tables").mkdir()
+    shutil.copy(here / "mine" / "odometry.csv", here / "tables" / "wheels.csv")
+    monkeypatch.chdir(here / "tables")
+    assert "`homeward import wheels.csv --out out/tables`" in refused(call("info", "."))
+
+
+def test_the_next_command_of_a_log_at_rest_can_be_typed_as_it_is(here):
+    drive = open_drive(here / "mine")
+    rest = dataclasses.replace(drive.odometry, v=0 * drive.odometry.v, omega=0 * drive.odometry.v)
+    save_drive(dataclasses.replace(drive, home={}, odometry=rest), here / "log.mcap")
+    following = done(call("info", "log.mcap")).stdout.splitlines()[-1]
+    assert re.fullmatch(r"Next: homeward run log\.mcap --home during:0,[\d.]*\d", following)
+
+
 def test_info_prints_a_topics_file_to_complete_where_a_run_needs_one():
     def topic(name, kind):
         return Topic(name, kind, np.arange(3), None)
@@ -92,11 +108,15 @@ def test_info_prints_a_topics_file_to_complete_where_a_run_needs_one():
         (["export", "robust"], "homeward export ekf --landmarks 12"),
         (["export", "ekf"], "homeward export ekf --landmarks 12"),
         (["place", "serve", "hall", "--tcp", "7710"], "an MQTT broker"),
+        (["compare", "robust", "ekf"], "use `homeward run DRIVE --estimator robust,ekf`"),
+        (["import", "mine/home.csv", "--wheels", "radius=1"], "wheel_radius or omni_radius?"),
+        (["import", "tags.json"], "or add a source (docs/do/sources.md)"),
         (["run", "mine", "--home-during=0,5"], "is now --home during:0,5"),
         (["run", "mine", "--store-home", "dock"], "now `homeward place add PLACE DRIVE`"),
     ],
 )
-def test_words_of_other_programs_get_a_command(words, answer):
+def test_words_of_other_programs_get_a_command(words, answer, here):
+    (here / "tags.json").write_text('[{"timestamp": 0.1, "detections": []}]')
     assert refused(call(*words)).endswith(answer)
 
 

@@ -61,7 +61,11 @@ def test_info_describes_the_place(hall):
 
 def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
     drive, out = first_seconds(tmp_path / "drive", 20.0), tmp_path / "out"
-    done(call("run", drive, "--place", hall, "--place-home", "dock 3", "--out", out))
+    said = done(call("run", drive, "--place", hall, "--place-home", "dock 3", "--out", out)).output
+    assert "in the frame of home 'dock 3' of the place" in said
+    assert "Other homes, for --place-home: 'home'." in said
+    assert "Ground truth is not used: in a place it is in the frame of the first home" in said
+    assert "the drive has no ground truth" not in said
     *_, last = (out / "estimate.csv").read_text().splitlines()
     t, x, y, heading = map(float, last.split(",")[:4])
     truth = open_drive("sample").truth
@@ -211,11 +215,11 @@ def test_view_writes_a_page(hall, tmp_path):
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf,robust"], "works with one"),
         (["run", "sample", "--place", "{hall}/new"], "no such folder"),
         (["place", "add", "{hall}/0001", "sample"], "contains files but no place"),
-        ([*ADD, "{day}"], "would count twice"),
+        ([*ADD, "{day}"], "would count twice; use another drive"),
         ([*ADD, "{short}", "--store-home", "dock 3"], "'dock 3' exists"),
         ([*ADD, "{short}", "--store-home", " x"], "not a valid name"),
         ([*ADD, "{short}", "--store-route", "round"], "'round' exists"),
-        (["place", "add", "{hall}-2", "{short}", "--store-home", "home"], "'home' exists"),
+        (["place", "add", "{hall}-2", "{short}", "--store-home", "home"], "is the first home"),
         (["place", "add", "{hall}-2", "{short}", "--place-home", "x"], "the place is new"),
         ([*AT, "at:999"], "time at home 999: must be from 0 to"),
         ([*AT, "at:nan"], "time at home nan: must be from 0 to"),

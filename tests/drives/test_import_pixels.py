@@ -100,6 +100,24 @@ def test_corners_have_the_bearing_of_the_centre_of_the_tag(tmp_path, name, names
     assert ((sightings.sigma > 2e-4) & (sightings.sigma < 0.03)).all()
 
 
+@pytest.mark.parametrize("form", ["{}", "[{}]"])
+def test_corners_and_centre_as_arrays_in_cells(tmp_path, form):
+    uv, tags = drawn(LENSES["fisheye"])
+    cells = {"center": uv[:, None], "corners": tags}
+    table = {name: [form.format(v.tolist()) for v in values] for name, values in cells.items()}
+    rows = zip(T.tolist(), ID.tolist(), *table.values(), strict=True)
+    lines = [f"{t};{tag};{middle};{four}" for t, tag, middle, four in rows]
+    paths = write(tmp_path, {"t": T})
+    paths[1].write_text("\n".join([";".join(["t", "tag_id", *table]), *lines]))
+    sightings, _ = bearings(paths, cameras={"": LENSES["fisheye"]})
+    assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
+    assert sightings.sigma.max() < 0.03
+    with pytest.raises(
+        InputError, match=r"'corners_x0', 'corners_y0', \.\.\. are pixels, which need"
+    ):
+        understand(paths)
+
+
 @pytest.mark.parametrize("order", [(0, 1, 3, 2), (0, 2, 1, 3), (3, 2, 1, 0)])
 def test_corners_in_any_order(tmp_path, order):
     paths = write(tmp_path, corners(LENSES["fisheye"], NAMES[0], order))

@@ -140,7 +140,8 @@ def test_home_positions_have_the_axes_of_the_detections(tmp_path, plain):
     # Without them they may be a survey.
     seen = sample_drive() / "bearings.csv"
     with pytest.raises(
-        InputError, match=r"a survey, or home positions in unknown axes .*forward=px, left=py"
+        InputError,
+        match=r"a survey, or home positions in unknown axes .*add a column of times.*forward=px",
     ):
         understand([odometry, seen, home])
     drive = drive_of(understand([odometry, seen, home], ["forward=px, left=py"]), "home")

@@ -133,6 +133,20 @@ def test_landmarks_of_columns_are_named_without_the_unit(tmp_path, form):
     assert_same(imported([odometry, seen]))
 
 
+@pytest.mark.parametrize("form", ["tag_{}", "Marker {} [rad]"])
+def test_columns_of_numbered_tags_are_landmarks_without_a_home_table(tmp_path, form):
+    odometry, seen = wide(tmp_path, [form.format(3 * k) for k in range(len(LANDMARKS))])
+    drive = imported([odometry, seen])
+    names = [form.removesuffix(" [rad]").format(3 * k) for k in range(len(LANDMARKS))]
+    assert set(drive.sightings.landmark) == set(names)
+
+
+def test_numbered_columns_along_with_ids_are_no_landmarks(tmp_path):
+    odometry, seen = wide(tmp_path, ["L1", "L2", "L3", "tag_id"][: len(LANDMARKS)], ",tag_id")
+    with pytest.raises(InputError, match="not recognised"):
+        imported([odometry, seen])
+
+
 def test_two_sets_of_numbered_columns_are_not_chosen_from(tmp_path):
     paths = wide(tmp_path, ["L1", "L2", "L3", "M1"], ",M2,M3")
     with pytest.raises(InputError, match="not recognised"):
@@ -146,6 +160,8 @@ def test_two_sets_of_numbered_columns_are_not_chosen_from(tmp_path):
         ("t,v,a_ticks", "'omega=COLUMN'"),
         ("t,v,spin", "'omega=spin'"),
         ("t,landmark,image_width", "'bearing=COLUMN'"),
+        ("t,landmark,intensity", "'bearing=COLUMN'"),
+        ("tick,encoder_left,encoder_right", "'t=COLUMN'"),
     ],
 )
 def test_a_column_of_another_kind_is_not_proposed(tmp_path, head, proposed):

@@ -315,3 +315,16 @@ def test_names_above_a_table_that_are_separated_by_gaps(tmp_path):
     found = understand([tmp_path / "o.dat"])
     assert found[0].table["omega"].tolist() == [0.2, 0.3]
     assert {one.source for one in found} == {"named"}
+
+
+def test_counters_with_the_clock_of_an_arduino(tmp_path):
+    found = imported(tmp_path, "enc_left,enc_right", *TICKS)
+    table = tmp_path / "wheels.csv"
+    head, *rows = table.read_text().splitlines()
+    cells = [row.partition(",") for row in rows]
+    later = [f"{1000 * float(t):.0f},{rest}" for t, _, rest in cells]
+    table.write_text("\n".join([head.replace("t,", "millis,", 1), *later]))
+    files = [tmp_path / name for name in ("wheels.csv", "b.csv", "h.csv")]
+    again = drive_of(understand(files, wheels=WHEELS), "wheels", wheels=WHEELS).odometry
+    assert again.t == pytest.approx(found.odometry.t)
+    assert again.v == pytest.approx(found.odometry.v)

@@ -73,3 +73,20 @@ def test_positions_without_ids_are_imported_where_their_axes_are_given(files):
 def test_rows_in_order_of_bearings_are_not_taken_for_bearings_in_a_fixed_frame(files):
     paths = files("t,landmark,bearing", lambda t, p: f"{t:.2f},class:post,{np.angle(p):.5f}")
     assert senses_of(imported(paths)) == UNDECIDED
+
+
+def test_bearings_without_ids_are_imported_where_the_refusal_shows_how(files):
+    header = "time,angle_deg,range_m,intensity"
+    row = lambda t, p: f"{t:.2f},{np.degrees(np.angle(p)):.4f},{abs(p):.3f},212"  # noqa: E731
+    paths = files(header, row)
+    advice = r"or 'reflectors\.csv: bearing=angle_deg' for landmarks without ids"
+    with pytest.raises(InputError, match=advice) as refusal:
+        understand(paths)
+    assert "=intensity" not in str(refusal.value)
+    drive = imported(paths, "reflectors.csv: bearing=angle_deg")
+    assert drive.sightings.range[0] == pytest.approx(abs(REFLECTORS[0]), rel=0.5)
+
+
+def test_positions_with_an_intensity_are_imported_without_ids(files):
+    paths = files("t,x,y,intensity", lambda t, p: f"{t:.2f},{p.real:.4f},{p.imag:.4f},99")
+    imported(paths, "reflectors.csv: forward=x, left=y")

@@ -93,9 +93,11 @@ class Driver:
             return None if over else STAND
         blind = None if faults else self._blind(now, belief)
         by_odometry = self._controller is not None and self._controller.by_odometry
-        fault = self.hindrance(now, None if by_odometry else belief, faults)
-        if by_odometry and belief.pose is None:
-            fault = fault or Fault("no odometry")
+        if by_odometry:
+            other = Fault("no odometry") if belief.pose is None else None
+        else:
+            other = blind or self._pose_fault(belief)
+        fault = faults[0] if faults else other
         hindrance, self.value = fault or ("", None)
         if self._controller is None:
             return self._hold(hindrance, now, self._limits.patience)
@@ -149,14 +151,12 @@ class Driver:
         self._looked += abs(self._twist.omega) * dt
         return self._twist
 
-    def hindrance(
-        self, now: float, belief: Belief | None, faults: tuple[Fault, ...] = ()
-    ) -> Fault | None:
-        """Return why the robot could not drive at `now` [s], also for its pose if it needs one."""
-        if faults or belief is None:
-            return faults[0] if faults else None
-        if (blind := self._blind(now, belief)) is not None:
-            return blind
+    def hindrance(self, now: float, belief: Belief, faults: tuple[Fault, ...] = ()) -> Fault | None:
+        """Return why the robot could not drive by its pose at `now` [s]; None if it could."""
+        return faults[0] if faults else self._blind(now, belief) or self._pose_fault(belief)
+
+    def _pose_fault(self, belief: Belief) -> Fault | None:
+        """Return why the pose is not good enough for driving; None if it is."""
         limits = self._limits
         if belief.pose is None or belief.covariance is None:
             return Fault(f"lost, no pose: {belief.status.value}")

@@ -37,7 +37,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 """Units of each quantity, in SI; the SI unit first. Those of wheels are in ticks, rad or m."""
 _SPELT = {
     **{"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms"},
-    **{"usec": "us", "µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"},
+    **{"usec": "us", "µs": "us", "micros": "us", "microseconds": "us"},
+    **{"nsec": "ns", "nanoseconds": "ns"},
     **{"mps": "m/s", "kph": "km/h", "kmh": "km/h", "dps": "deg/s", "°/s": "deg/s"},
     **{"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "metres": "m"},
     **{"meters": "m", "degrees/s": "deg/s", "radians/s": "rad/s", "m_s": "m/s"},
@@ -57,8 +58,8 @@ _NO_UNITS = ("x", "y", "z", "w")
 ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
-        "t time timestamp stamp utime clock date datetime sec secs seconds ms zeit zeitstempel "
-        "datum uhrzeit",
+        "t time timestamp stamp utime clock date datetime sec secs seconds ms millis micros zeit "
+        "zeitstempel datum uhrzeit",
     ),
     "v": (
         "speed",
@@ -155,6 +156,8 @@ ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
 }
 """The roles of each form of odometry except poses, in order of preference, and optional roles."""
 UNUSED = {"acceleration", "accel", "acc", "covariance", "magnetic", "mag"}
+UNUSED |= {"battery", "voltage", "volts", "intensity", "temperature", "humidity", "pressure"}
+UNUSED |= {"confidence", "score", "quality", "hamming", "margin", "rssi", "reflectivity"}
 """Words in names of columns without a role."""
 ROTATIONAL = {"angular", "ang", "yaw", "gyro", "turn", "steering"}
 NO_PLACE = UNUSED | ROTATIONAL | {*ROTATIONS, "rvec", "rot", "linear", "velocity", "vel", "speed"}
@@ -420,6 +423,7 @@ def may_be(role: str, name: str) -> bool:
     mine, words = ROLES[role][0], set(words_in(name))
     is_of_other = any(unit_in(name, quantity) for quantity in UNITS) and not unit_in(name, mine)
     is_of_other |= mine != "pixel" and not words.isdisjoint(_OF_PIXELS)
+    is_of_other |= not words.isdisjoint(UNUSED)
     return not is_of_other and (matches(name, role) or not has_role(name))
 
 

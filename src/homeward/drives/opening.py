@@ -169,7 +169,7 @@ def kind_of(place: Path) -> str:
         ways = "use homeward place info PLACE to inspect it, or homeward run DRIVE --place PLACE"
         raise InputError("a place, not a drive", place, advice=ways)
     if tables := tables_in(place):
-        way = command("import", *tables, "--out", f"out/{place.stem}")
+        way = command("import", *tables, "--out", f"out/{place.resolve().stem}")
         others = ", and add the tables of odometry, bearings and home that it lacks"
         more = others * (tables == [place])
         raise InputError("not a drive yet", place, advice=f"convert its tables with `{way}`{more}")

@@ -304,7 +304,10 @@ def refused(
     if first.known:
         similar = None if model is None else closest(key, model)
         advice = f"did you mean {similar}?"
-        if similar in (None, key):  # the key of another member of a union
+        alike = [known for known in first.known if key in known.split("_")]
+        if len(alike) > 1:
+            advice = f"did you mean {' or '.join(alike)}?"
+        elif similar in (None, key):  # the key of another member of a union
             advice = f"the keys here are {listing(first.known, MAX_KEYS)}"
         return InputError(first.words, file, part=_shown(key), advice=advice)
     # A union reports one problem for each member: the most specific one counts.

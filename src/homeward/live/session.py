@@ -167,18 +167,17 @@ class Session:
             case msg.TiltIn():
                 self._levelling.add(message)
                 return
-            case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
-                self._drive(message, None, now)
-            case msg.TurnHome():
-                self._drive(message, message, now)
+            case (
+                msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute() | msg.TurnHome()
+            ):
+                self._drive(message, now)
             case msg.SetExtrinsics(x=x, y=y, yaw=yaw, camera=name):
                 self._frozen.set_extrinsics(name, OtherCamera(x=x, y=y, yaw=yaw))
         self._enqueue(message, odom, t, sender)
 
-    def _drive(
-        self, goal: msg.GoalMessage | msg.TurnHome, turn: msg.TurnHome | None, now: float
-    ) -> None:
+    def _drive(self, goal: msg.GoalMessage | msg.TurnHome, now: float) -> None:
         """Start the drive to a goal, or a turn."""
+        turn = goal if isinstance(goal, msg.TurnHome) else None
         with self._lock:
             self._goal_message, self._refused, self._turn_home = goal, "", turn
         self.driver.go(now, None if turn is None else TurnGoal())

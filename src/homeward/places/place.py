@@ -121,7 +121,8 @@ class Place:
         if not set(evidence.split(SEPARATOR)).isdisjoint(self.evidence.split(SEPARATOR)):
             raise InputError(
                 f"{quoted(name)}, or a drive in it, is already in the place {quoted(self.name)}: "
-                "its data would count twice"
+                "its data would count twice",
+                advice="use another drive; if it was added last, `homeward place undo` removes it",
             )
 
     def stays(self, when: float) -> dict[str, float]:

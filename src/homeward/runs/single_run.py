@@ -140,10 +140,11 @@ def _in_its_file(notes: tuple[str, ...], place: Path) -> tuple[str, ...]:
     if kind_of(place) != LOG:
         return notes
     of_a_log = "`drive:` in the topics file (--topics)"
+    of_a_folder = "a drive folder (`homeward convert` makes it from this log)"
     return tuple(
-        note.replace("under `sensor:` in drive.yaml", f"under `sensor:` of {of_a_log}").replace(
-            "in drive.yaml", f"under {of_a_log}"
-        )
+        note.replace("under `sensor:` in drive.yaml", f"under `sensor:` of {of_a_log}")
+        .replace("in drive.yaml", f"under {of_a_log}")
+        .replace("landmarks.yaml of the drive folder", f"landmarks.yaml of {of_a_folder}")
         for note in notes
     )
 

@@ -25,9 +25,10 @@ from homeward.track import Track
 if TYPE_CHECKING:
     from homeward.runs.single_run import RunSettings
 
-PLACE_NOTE = (
-    "Poses are in the frame of the place's home; home bearings of this drive are not used. Choose"
-    " another home of the place with --place-home."
+PLACE_NOTE = "Poses are in the frame of home {} of the place, not of home bearings of the drive."
+OTHERS_NOTE = " Other homes, for --place-home: {}."
+UNUSED_TRUTH_NOTE = (
+    "Ground truth is not used: in a place it is in the frame of the first home, {}, not of home {}."
 )
 SAME_DRIVE_NOTE = (
     "This drive is already in the place's map, so its errors are smaller than those of a new drive."
@@ -69,8 +70,15 @@ def place_notes(run: RunSettings, drive: Drive) -> tuple[str, ...]:
     """Return the notes on the place that a run uses."""
     if run.place is None or not run.place_version:
         return ()
-    known = load_place(run.place, run.place_version).evidence
-    return (PLACE_NOTE, SAME_DRIVE_NOTE) if fingerprint(drive) in known else (PLACE_NOTE,)
+    place = load_place(run.place, run.place_version)
+    home = place.required(run.place_home)
+    others = ", ".join(quoted(name) for name in place.homes if name != home)
+    notes = [PLACE_NOTE.format(quoted(home)) + (others and OTHERS_NOTE.format(others))]
+    if home != place.origin:
+        notes.append(UNUSED_TRUTH_NOTE.format(quoted(place.origin), quoted(home)))
+    if fingerprint(drive) in place.evidence:
+        notes.append(SAME_DRIVE_NOTE)
+    return tuple(notes)
 
 
 def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> None:
@@ -88,6 +96,12 @@ def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> No
     elif run.place_home not in (None, FIRST_HOME):
         raise InputError(
             f"no home {quoted(str(run.place_home))}: the place is new and has only {FIRST_HOME}"
+        )
+    elif store.home == FIRST_HOME:
+        raise InputError(
+            f"{quoted(FIRST_HOME)} is the first home of a new place, of the drive's home bearings",
+            part="--store-home",
+            advice="choose another name for the end of the drive",
         )
     if store.home is not None:
         require_name("home", store.home, homes)

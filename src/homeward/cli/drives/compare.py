@@ -32,13 +32,19 @@ def compare(
 
     Writes comparison.png, matches.csv and comparison.json. Exit status 1 if too few points match.
     """
+    from homeward.errors import InputError
     from homeward.io.writing import check_output
+    from homeward.registry import estimator_names
     from homeward.vision.checks import find_mirrored, require_panoramas
     from homeward.vision.comparison import compare as compare_views
     from homeward.vision.features.detection import read_features
     from homeward.vision.recorded.settings import read_image_settings
     from homeward.vision.report import PICTURE, RESULT, as_dict, describe, write_comparison
 
+    if {str(home), str(now)} <= {*estimator_names()}:
+        raise InputError(
+            "estimators, not panoramas", advice=f"use `homeward run DRIVE --estimator {home},{now}`"
+        )
     settings = read_image_settings(camera)
     home_image, home_view = read_features(home, settings.panorama, mask=mask or settings.mask)
     now_image, now_view = read_features(now, settings.panorama, like=home_view)

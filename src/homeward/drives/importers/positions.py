@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.drives.columns import KINDS, UNITS, Column, assigned, matches, words_in
+from homeward.drives.columns import KINDS, UNITS, Column, assigned, matches, may_be, words_in
 from homeward.drives.importers.sheet import Sheet
 from homeward.drives.measure import bearings
 from homeward.errors import InputError
@@ -84,10 +84,7 @@ def position_columns(
     )
     columns = next((columns for columns in found if columns), None)
     if columns is None and given:  # without ids, if no other column may have them
-        required.remove("landmark")
-        plain = assigned((*required, *given), names, specified, optional) or {}
-        is_whole = plain and len(plain) == len(names)
-        columns = {**plain, "landmark": Column("landmark", "")} if is_whole else None
+        columns = without_ids((*required, *given), names, specified, optional)
     chosen = [c for r, c in (columns or {}).items() if r in AXIS_ROLES and not c.is_specified]
     if len({_point(c.name, c.role) for c in chosen}) > 1:
         shown = " and ".join(repr(c.name) for c in chosen)
@@ -96,6 +93,22 @@ def position_columns(
             advice="give the position, as in --columns 'forward=COLUMN, left=COLUMN'",
         )
     return columns
+
+
+def without_ids(
+    required: Sequence[str],
+    names: Sequence[str],
+    specified: Sequence[Column],
+    optional: Sequence[str],
+) -> dict[str, Column] | None:
+    """Return the columns of landmarks without ids; None if another column may be of landmarks."""
+    others = [role for role in required if role != "landmark"]
+    found = assigned(others, names, specified, optional) or {}
+    used = {name for column in found.values() for name in (column.name, *column.more)}
+    free = [name for name in names if name not in used]
+    if not found or any(may_be(role, name) for role in ("landmark", "bearing") for name in free):
+        return None
+    return {**found, "landmark": Column("landmark", "")}
 
 
 def _point(name: str, axis: str) -> str:
@@ -238,10 +251,9 @@ def _unknown(
         if set(roles.values()) <= set(by_axis):
             columns = ", ".join(f"{role}={by_axis[axis].name}" for role, axis in roles.items())
             options.append(f"'{one.path.name}: {columns}' ({name} axes)")
-    what = "a survey, or home positions" if kind == "home" else "positions"
-    return InputError(
-        f"{what} in unknown axes ({ranges})",
-        one.path,
-        advice=f"give the axes, as in --columns {' or '.join(options)}, or, if they are pixels, "
-        "the camera: --camera FILE",
-    )
+    what, advice = "positions", f"give the axes, as in --columns {' or '.join(options)}"
+    advice += ", or, if they are pixels, the camera: --camera FILE"
+    if kind == "home":
+        what = "a survey, or home positions"
+        advice = f"add a column of times if they are detections, or {advice}"
+    return InputError(f"{what} in unknown axes ({ranges})", one.path, advice=advice)

@@ -36,6 +36,7 @@ from homeward.drives.importers.positions import (
     points_in,
     position_columns,
     with_axes,
+    without_ids,
 )
 from homeward.drives.importers.sheet import Sheet
 from homeward.drives.importers.wide import (
@@ -60,6 +61,11 @@ RECOGNISED = {
     "ground truth": "time, x, y, heading",
 }
 """Descriptions of the tables of a drive and their columns; `KINDS` has the roles."""
+WITHOUT_IDS: Mapping[tuple[str, ...], Mapping[str, str]] = {
+    ("heading",): {"forward": "x", "left": "y"},
+    ("landmark",): {"bearing": "bearing"},
+}
+"""Roles that a table lacks, and those that its columns have if its landmarks have no ids."""
 MAX_SHOWN = 12
 """Maximum number of columns in an error message."""
 TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
@@ -137,9 +143,14 @@ def _kinds_of(
     one: Sheet, mine: Sequence[Column], kind: str | None, has_wheels: bool, cameras: Calibrations
 ) -> dict[str, Found]:
     """Return the columns of each kind of table in a file, but those of wide tables."""
+    roles = {column.role for column in mine if column.name in one.names}
 
     def columns_of(kind: str) -> Found:
-        return assigned(KINDS[kind], one.names, mine, OPTIONAL.get(kind, ()))
+        table = KINDS[kind], one.names, mine, OPTIONAL.get(kind, ())
+        found = assigned(*table)
+        if found is None and kind in POSITIONED and "bearing" in roles:
+            return without_ids(*table)
+        return found
 
     poses = _unambiguous(lambda: columns_of("truth"))
     odometry = _odometry_columns(one, mine, has_wheels or not poses)
@@ -150,7 +161,6 @@ def _kinds_of(
             pixel_columns(one, kind, mine, cameras) or position_columns(kind, one.names, mine)
         )
         return {kind: columns_of(kind) or placed or None}
-    roles = {column.role for column in mine if column.name in one.names}
     if roles.intersection(POSITION_ROLES):
         return {"odometry": odometry} | _positions(one, mine)
     name = one.path.name.lower()
@@ -184,7 +194,9 @@ def _kinds_of(
     seen = _unambiguous(lambda: position_columns("bearings", one.names, mine))
     if poses and not (seen and _has_landmarks(one, seen["landmark"])):
         return {"truth": poses}
-    return pixels if pixels and not seen else _positions(one, mine)
+    has_corners = any(found and "row0" in found for found in pixels.values())
+    is_tag = has_corners and "z" not in (seen or {})  # x and y are those of its centre
+    return pixels if pixels and (not seen or is_tag) else _positions(one, mine)
 
 
 def _odometry_columns(one: Sheet, mine: Sequence[Column], has_wheels: bool) -> Found:
@@ -301,31 +313,32 @@ def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
             else "positions"
         )
         return f"write a row for each of the {what}, with the time and the id of the landmark"
-    kinds = {kind: roles for kind, roles in KINDS.items() if kind != "gyro"}
-    found = {kind: recognised(roles, one.names, mine) for kind, roles in kinds.items()}
+    kinds = [(kind, roles) for kind, roles in KINDS.items() if kind != "gyro"]
+    kinds += [("odometry", form) for form in ODOMETRY]
     boxes = box_columns(one.names)
-    for kind in POSITIONED if boxes else ():
-        found[kind] = {"bearing": "box"} | found[kind]
-    kind = max(found, key=lambda k: (len(found[k]) / len(KINDS[k]), len(found[k])))
+    tried = []
+    for kind, roles in kinds:
+        box = {"bearing": "box"} if boxes and kind in POSITIONED else {}
+        tried.append((kind, roles, box | recognised(roles, one.names, mine)))
+    kind, needed, found = max(tried, key=lambda t: (len(t[2]) / len(t[1]), len(t[2])))
     numbers = {name: number for number, name in one.numbers.items()}
-    if not found[kind]:
+    if not found:
         a, b, c, *_ = (*numbers.values(), *"ABC")
         return f"give their roles, as in --columns '{file}t={a}, landmark={b}, bearing={c}'"
-    used = {*found[kind].values(), *(n for c in boxes.values() for n in (c.name, *c.more))}
-    missing = [role for role in KINDS[kind] if role not in found[kind]]
+    used = {*found.values(), *(n for c in boxes.values() for n in (c.name, *c.more))}
+    missing = [role for role in needed if role not in found]
     free, proposed = [n for n in one.names if n and n not in used], list[str]()
     for role in missing:
         name = next((name for name in free if may_be(role, name)), None)
         proposed.append(f"{role}={numbers.get(name, name) if name else 'COLUMN'}")
         free = [other for other in free if other != name]
-    roles = ", ".join(proposed)
-    known = ", ".join(f"{role} ({name})" for role, name in found[kind].items())
-    advice = (
-        f"give {' and '.join(missing)}, as in --columns '{file}{roles}', for {kind} with {known}"
-    )
-    if missing == ["heading"]:
-        x, y = (numbers.get(name, name) for name in (found[kind]["x"], found[kind]["y"]))
-        advice += f", or '{one.path.name}: forward={x}, left={y}' for landmarks without ids"
+    given = f"--columns '{file}{', '.join(proposed)}'"
+    known = ", ".join(f"{role} ({name})" for role, name in found.items())
+    advice = f"give {' and '.join(missing)}, as in {given}, for {kind} with {known}"
+    plain = WITHOUT_IDS.get((*missing,), {})
+    if plain and found.keys() >= set(plain.values()):
+        named = (f"{role}={numbers.get(found[r], found[r])}" for role, r in plain.items())
+        advice += f", or '{one.path.name}: {', '.join(named)}' for landmarks without ids"
     return advice
 
 

@@ -57,8 +57,16 @@ ECHOED = {
     )
 }
 """The columns of stamped messages in ``ros2 topic echo --csv``, by their number."""
+CORNERS = tuple(f"{axis}{k}" for k in range(4) for axis in "xy")
+ENDS: Mapping[int, Sequence[str]] = {2: "xy", 3: XYZ}
+"""Names of the values of an array of a tag's corners, and of others by their number."""
 UNIT_NORM = 0.01
 """Maximum deviation of a quaternion's norm from 1; two digits in a file cause half of it."""
+JSON = (
+    "write it as CSV with a row for each detection, as with pandas.json_normalize(json.load(open("
+    "FILE)), 'detections', 'timestamp').to_csv('detections.csv'), or add a source "
+    "(docs/do/sources.md)"
+)
 EXPORT, UNPACK = "export it as CSV", "unpack it"
 FORMATS = (
     ((b"PK\x03\x04",), "a spreadsheet or zip archive", "export it as CSV, or unpack it"),
@@ -82,7 +90,7 @@ FORMATS = (
         "the output of `ros2 topic echo`",
         "use `ros2 topic echo --csv`, or record a bag",
     ),
-    ((b'{"', b"[{", b"[["), "JSON", "export it as CSV, as with pandas.read_json(...).to_csv(...)"),
+    ((b'{"', b"[{", b"[["), "JSON", JSON),
 )
 """First bytes, also without white space; description and advice."""
 
@@ -365,7 +373,8 @@ def _parts(name: str, size: int) -> list[str]:
         return [name]
     plain = re.split(r"\s*[\[(<]", name.strip(), maxsplit=1)[0]
     unit = name.strip().removeprefix(plain)
-    ends = XYZ if size == len(XYZ) else range(size)
+    is_tag = size == len(CORNERS) and "corner" in plain.lower()
+    ends = CORNERS if is_tag else ENDS.get(size, range(size))
     return [f"{plain}_{end}{unit}" for end in ends]
 
 

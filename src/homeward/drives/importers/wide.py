@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from homeward.drives.columns import ROLES, has_role, unit_in, words_in
+from homeward.drives.columns import ROLES, has_role, matches, unit_in, words_in
 from homeward.errors import InputError
 from homeward.io.table import Table
 
@@ -16,6 +16,7 @@ MIN_JUMPS, JUMP_QUANTILE = 20, 0.9
 exceed this quantile of the other changes."""
 MIN_NUMBERED = 3
 """Number of columns that may be those of landmarks, of which a pose needs as many."""
+LANDMARK = re.compile(r"(landmark|tag|marker|beacon|marke|landmarke)[\s_.-]*\d+")
 BEARING_WORDS = frozenset(f"{word}{s}" for word in ROLES["bearing"][1].split() for s in ("", "s"))
 
 
@@ -36,13 +37,17 @@ def landmark_columns(names: Sequence[str], ids: Collection[str]) -> dict[str, st
 
 
 def numbered_columns(names: Sequence[str]) -> dict[str, str]:
-    """Return the columns that differ only in a number and have no role, as ``L1``, ``L2``, ``L3``.
+    """Return the columns that differ only in a number, as ``L1``, ``L2``, ``L3`` or ``tag_1_deg``.
 
-    By name; empty where there are fewer than `MIN_NUMBERED`, or two such sets.
+    They have no role, or are words for a landmark and its number. By name; empty where there are
+    fewer than `MIN_NUMBERED`, or two such sets, or a column of ids.
     """
     by_shape: dict[str, list[str]] = {}
     for name in names:
-        if not has_role(name):
+        is_landmark = bool(LANDMARK.fullmatch(landmark_in(name)[0].lower()))
+        if not is_landmark and matches(name, "landmark"):
+            return {}
+        if is_landmark or not has_role(name):
             by_shape.setdefault(_shape(name), []).append(name)
     sets = [same for shape, same in by_shape.items() if "#" in shape and len(same) >= MIN_NUMBERED]
     return {landmark_in(name)[0]: name for name in sets[0]} if len(sets) == 1 else {}

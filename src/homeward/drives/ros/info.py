@@ -142,7 +142,7 @@ def _home_options(remarks: Sequence[str], log: Path | None = None) -> Sequence[o
     """Return the options that give home where it is missing: a home.csv, or the proposed rest."""
     if log is not None and (home := (log if log.is_dir() else log.parent) / csv.HOME).exists():
         return "--home", home
-    proposed = re.search(r"--home (during:\d[\d.]*,[\d.]+)", " ".join(remarks))
+    proposed = re.search(r"--home (during:[\d.]+,\d+(\.\d+)?)", " ".join(remarks))
     return FIRST_POSE if proposed is None else ("--home", proposed[1])
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from homeward.io.writing import write_whole
 from homeward.places.place import Place
@@ -137,6 +138,7 @@ def _draw_visits(place: Place) -> Figure:
             axes.bar(number, height, bottom=bottom, color=colour, label=kind)
             bottom += height
         axes.set(xlabel="visit", ylabel="landmarks")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(False, axis="x")
         legend_below(figure, axes.get_legend_handles_labels()[0])
     return figure

@@ -119,7 +119,7 @@ def _accuracy(metrics: Metrics, has_truth: bool) -> str:
     """Return the errors of position and heading, and a caution if there is one."""
     accuracy = metrics.accuracy
     if accuracy is None:
-        return NOT_SCORED if has_truth else "No position error: the drive has no ground truth."
+        return NOT_SCORED if has_truth else "No position error, for lack of ground truth."
     p = accuracy.position
     text = (
         f"Position error {quantity(p.rmse, 'm')} RMSE, {quantity(p.median, 'm')} median, "

@@ -384,7 +384,7 @@ class SightingRows:
             raise InputError(
                 "points in an image need a camera model",
                 part=self.given.topic,
-                advice="add camera to the topic in the topics file: a CameraInfo topic, "
-                "a calibration file, or the model",
+                advice="add it in the topics file, as camera: FILE (a calibration), camera: TOPIC "
+                "(CameraInfo), or its model",
             )
         return camera.model_copy(update=self.given.tilt)

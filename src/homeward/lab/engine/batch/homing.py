@@ -200,7 +200,14 @@ def run_homing(
         d for d in DRAWS if d.name not in series and np.any(np.asarray(values.get(d.scale, 0.0)))
     )
     job = job_of(
-        *(program, values, series, runs, steps, history, ("pose", "state"), extra),
+        program,
+        values,
+        series,
+        runs,
+        steps,
+        history,
+        final=("pose", "state"),
+        extra=extra,
         seed=seed,
         first_run=first_run,
         draws=draws,

@@ -19,7 +19,7 @@ MAX_MOMENTS = 1500
 MAX_CELLS = 40_000
 """Maximum number of bearings, and of landmark positions, on a page; more give fewer moments."""
 USED, REJECTED, NEW = 0, 1, 2
-"""Use of a bearing; new: its landmark is not mapped yet."""
+"""Use of a bearing; new: its landmark is not mapped yet, or has no id."""
 
 
 def moments(drive: Drive, track: Track) -> dict[str, Any]:

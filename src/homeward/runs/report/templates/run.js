@@ -50,7 +50,7 @@
   const map = plots.find((p) => p.match_aspect);
   const extent = Math.max(map.x_range.end - map.x_range.start, map.y_range.end - map.y_range.start);
   const KITE = [[1.6, 0], [-1, 0.9], [-0.5, 0], [-1, -0.9]];
-  const FATES = [["#0072b2", "used"], ["#d55e00", "rejected"], ["#8a9097", "not mapped yet"]];
+  const FATES = [["#0072b2", "used"], ["#d55e00", "rejected"], ["#8a9097", "not mapped yet, or without an id"]];
 
   const placed = ([x, y, heading], points) => {
     const [c, s] = [Math.cos(heading), Math.sin(heading)];
