@@ -318,6 +318,9 @@ RETRY_GROWTH = 1.1
 LONG_WINDOW = 7500
 """Keyframes times landmarks from which a window that waits for parallax is too long: the longest
 one with the landmarks of a room, fewer keyframes in a hall."""
+LONG_DRIVE = 4000
+"""Keyframes up to which all are solved again where the map has turned: half an hour of two a
+second, which takes about a second."""
 MIN_IDLE = 16
 """Landmarks out of view that are made passive at a time: with fewer, solutions take no longer."""
 COMMON_DIRECTIONS = 96

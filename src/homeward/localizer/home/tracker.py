@@ -27,6 +27,7 @@ from homeward.localizer.home.turn_note import turn_notes
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.landmarks import numbers
 from homeward.localizer.map.map import Map
+from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.factors import HomeFactors
 from homeward.localizer.map.survey.survey import exchange_notes
@@ -112,7 +113,7 @@ class HomeTracker:
         self._surveyed = known.registration.has_home
         if self._surveyed is not frame:  # the frame of home has changed
             now = None
-        problem = self.problem(known, known.smoother.state)
+        problem = self.problem(known, known.smoother)
         self.is_updated = True
         if now is not None and before == self.names:
             self.hypotheses = self._follow(problem, now, known)
@@ -149,27 +150,28 @@ class HomeTracker:
         columns = problem.bearings[used], problem.sigmas[used]
         return HomeFactors(ids, *columns, camera, offsets[used])
 
-    def problem(self, known: Map, state: Marginal) -> HomeProblem:
-        """Return the resection problem by a state of the map.
+    def problem(self, known: Map, smoother: Smoother, state: Marginal | None = None) -> HomeProblem:
+        """Return the resection problem by a solution of the map, or its state at another keyframe.
 
         It is in the odometry frame, or in home's frame if the map has a survey in that.
         """
-        state = known.registration.in_home_frame(known.smoother.without_home(state))
-        if known.smoother.p_static is not self._p_static:
-            self._places = known.places_for_home(self.names)
-            self._p_static = known.smoother.p_static
+        state = smoother.without_home(smoother.state if state is None else state)
+        state = known.registration.in_home_frame(state)
+        if smoother.p_static is not self._p_static:
+            self._places = known.places_for_home(self.names, smoother)
+            self._p_static = smoother.p_static
         problem = self.observation.problem(self.names, *self._places, state, self._noise)
         if not known.registration.has_home:
             return problem
         return problem.at_origin(known.registration.static_places(state))
 
-    def finalise(self, known: Map, state: Marginal) -> bool:
+    def finalise(self, known: Map, whole: Smoother) -> bool:
         """Search for home by the solution of a whole drive; return whether it is found.
 
         If it is not, nothing changes.
         """
         before = self.hypotheses.fits if self.hypotheses is not None else ()
-        found = search(self.problem(known, state), [f.seed for f in before])
+        found = search(self.problem(known, whole), [f.seed for f in before])
         self.hypotheses = found or self.hypotheses
         return found is not None
 

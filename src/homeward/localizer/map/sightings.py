@@ -7,6 +7,7 @@ in the calibration; all sightings of a stamp share it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -109,7 +110,7 @@ class Frames:
         self.free[index], self.jacobians[index] = camera.uncalibrated, camera.jacobian
 
     @staticmethod
-    def joined(parts: list[Frames]) -> Frames:
+    def joined(parts: Sequence[Frames]) -> Frames:
         """Return consecutive tables as one."""
         rows = np.concatenate([part._table.rows for part in parts])
         return Frames(parts[0].first, GrowingTable.of(rows))

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from contextlib import suppress
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from homeward.localizer import kernels
 from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.map.all_landmarks import AllLandmarks
 from homeward.localizer.map.passive import PassiveLandmarks
-from homeward.localizer.map.prior import Prior
+from homeward.localizer.map.prior import Closed, Prior
 from homeward.localizer.map.ranges import range_residuals, range_sigmas, weigh_ranges
 from homeward.localizer.map.sightings import (
     BEARING,
@@ -78,9 +78,11 @@ from homeward.localizer.tunables import (
     INLIER,
     LAG_GATE,
     LINEAR,
+    LONG_DRIVE,
     MIN_CALIBRATION_SIGMA,
     MIN_CHANGE,
     MIN_IDLE,
+    NUM_WHOLE_SOLVES,
     STALE_S,
 )
 from homeward.table import GrowingTable
@@ -90,16 +92,6 @@ ONE_SIDED = [TURN_SLIP, TIME_CONSTANT]
 """
 NO_TAIL = np.ones(2)
 """Ratios of inlier variances of shift and turn where motions have no heavy tail [1]."""
-
-
-class Closed(NamedTuple):
-    """Marginalised keyframes, kept for smoothing the whole drive."""
-
-    poses: np.ndarray
-    stamps: list[float]
-    sightings: np.ndarray
-    frames: Frames
-    steps: np.ndarray
 
 
 class Smoother:
@@ -169,7 +161,11 @@ class Smoother:
         self._steps = GrowingTable((STEP,))
         """(w - 1, STEP): the motions between them."""
         self._next_id = 0
-        self._closed: list[Closed] | None = None
+        self._closed: list[Closed] = []
+        self._keeps, self._is_complete = False, True
+        """Whether marginalised keyframes are kept for ever; whether they are all there."""
+        self._turned = 0.0
+        """By how much the prior is used away from where the keyframes were linearised [rad]."""
         self._drift, self._correlated = drift, correlated
         self._integrated_at = np.array([0.0, mean])
         """Delay and time constant [s] of the motions in the window."""
@@ -184,35 +180,55 @@ class Smoother:
 
     def retain_marginalised(self) -> None:
         """Keep marginalised keyframes for `whole`; memory then grows with the drive."""
-        self._closed = []
+        self._keeps, self._closed = True, []
 
     def whole(self) -> Smoother:
         """Return a smoother with all keyframes since `retain_marginalised`, unsolved."""
         unused = np.ones(len(ODOMETRY_CALIBRATION))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
-        closed = self._closed or []
+        own = Closed(self.poses, self.stamps, self.sightings, self.frames, self._steps.rows)
+        found = Closed.joined([*self._closed, own])
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
         whole.scale_before = self.scale_before
         whole.one_sided, whole._bounded = self.one_sided, self._bounded
         whole.time_constant_prior = self.time_constant_prior
-        whole.first = self.first - sum(len(part.poses) for part in closed)
-        whole._poses = GrowingTable.of(
-            np.concatenate([*(part.poses for part in closed), self.poses])
-        )
-        whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
-        rows = np.concatenate([*(part.sightings for part in closed), self.sightings])
+        whole.first = self.newest + 1 - len(found.poses)
+        whole._poses, whole._steps = GrowingTable.of(found.poses), GrowingTable.of(found.steps)
+        whole.stamps, whole.frames = found.stamps, found.frames
         landmarks = self.all_landmarks
         whole.ids = ids = landmarks.ids
         whole.state, whole.p_static = landmarks.joint(ids), landmarks.static_probabilities(ids)
-        whole.sightings = rows[np.isin(rows[:, LANDMARK], ids)]
-        whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
-        steps = [*(part.steps for part in closed), self._steps.rows]
-        whole._steps = GrowingTable.of(np.concatenate(steps))
-        whole.survey = self.survey
+        whole.sightings = found.sightings[np.isin(found.sightings[:, LANDMARK], ids)]
+        whole.survey, whole.at_home = self.survey, self.at_home
         information = np.eye(whole.state.mean.size) * (INFINITY_RATIO * self.state.scale) ** -2
         information[:HEAD, :HEAD] = self._first_information
         whole._prior = Prior(information)
         return whole
+
+    def linearise_again(self) -> None:
+        """Solve for all keyframes and marginalise again, if the map has turned since.
+
+        A prior that has turned by d is wrong by d^2 / 2 of all distances. Not after a change of
+        the calibration, nor on a drive too long to be solved between two frames; and nothing
+        changes if the solution does not converge.
+        """
+        turned = self._turned + float(self.poses[0, 2] - self._prior.at[2])
+        is_right = turned**2 <= LINEAR * math.sqrt(self.state.covariance[2, 2])
+        if is_right or not self._is_complete:
+            return
+        whole = self.whole()
+        before = len(whole.poses) - len(self.poses)
+        self._turned = 0.0
+        with suppress(np.linalg.LinAlgError):
+            for _ in range(NUM_WHOLE_SOLVES):
+                whole.solve()
+                if whole.converged:
+                    break
+            if whole.converged:
+                whole.marginalise(before)
+                self._poses, self._prior, self.passive = whole._poses, whole._prior, whole.passive
+                self.ids, self.p_static, self.state = whole.ids, whole.p_static, whole.state
+                self._bounded, self._known_by_home = whole._bounded, whole._known_by_home
 
     @property
     def all_landmarks(self) -> AllLandmarks:
@@ -386,12 +402,12 @@ class Smoother:
 
     def scale_noise(self, factor: float) -> None:
         """Scale the measurement noise of all sightings in the window."""
-        for rows in (self.sightings, *(part.sightings for part in self._closed or [])):
+        for rows in (self.sightings, *(part.sightings for part in self._closed)):
             scale_noise(rows, factor)
 
     def scale_odometry(self, factors: np.ndarray) -> None:
         """Scale variances of shift and turn by factors (2, 2): of inlier motions, and of all."""
-        for steps in (self._steps.rows, *(part.steps for part in self._closed or [])):
+        for steps in (self._steps.rows, *(part.steps for part in self._closed)):
             scale_steps(steps, factors[0])
         self.variances.rows[:] *= factors[1]
 
@@ -468,6 +484,7 @@ class Smoother:
     def _move_linearisation_point(self) -> None:
         """Linearise the prior, and passive landmarks, at the present estimate."""
         now = self._linearisation_point()
+        self._turned += float(now[2] - self._prior.at[2])
         self.passive.move(now - self._prior.at)
         self._prior.move_to(now)
 
@@ -551,10 +568,11 @@ class Smoother:
         if len(self.passive):
             self.passive.replace(slice(3), eliminated.oldest())
         frames = self.frames.take_before(first)
-        if self._closed is not None:
-            chain = self.poses[:count].copy(), self.stamps[:count]
-            steps = self._steps.rows[:count].copy()
-            self._closed.append(Closed(*chain, rows, frames, steps))
+        chain = self.poses[:count].copy(), self.stamps[:count]
+        self._closed.append(Closed(*chain, rows, frames, self._steps.rows[:count].copy()))
+        self._is_complete &= not changes and first < LONG_DRIVE
+        if not (self._is_complete or self._keeps):
+            self._closed = []
         self.first = first
         self.stamps = self.stamps[count:]
         self._poses.drop_first(count)
@@ -564,10 +582,15 @@ class Smoother:
         before = self._prior.replace(eliminated, self._linearisation_point(), drift)
         self.passive.replace(slice(3, HEAD), before)
 
-    def without_home(self, state: Marginal) -> Marginal:
-        """Return a state of the last solution, or propagated from it, without home factors."""
+    def without_home(self, state: Marginal, ids: np.ndarray | None = None) -> Marginal:
+        """Return a state of the last solution, or propagated from it, without home factors.
+
+        Its landmarks are those of `ids` (n,), by default the active ones.
+        """
         known = self._known_by_home
-        return state if known is None else known.removed_from(state, self.ids)
+        return (
+            state if known is None else known.removed_from(state, self.ids if ids is None else ids)
+        )
 
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""

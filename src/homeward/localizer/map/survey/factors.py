@@ -270,7 +270,9 @@ class HomeInformation(NamedTuple):
 
     def columns(self, ids: np.ndarray, first: int) -> np.ndarray:
         """Return the columns (2 m,) of the landmarks, those of `ids` (n,) being from `first` on."""
-        return (first + 2 * np.searchsorted(ids, self.ids)[:, None] + np.arange(2)).ravel()
+        order = ids.argsort()
+        index = order[ids.searchsorted(self.ids, sorter=order)]
+        return (first + 2 * index[:, None] + np.arange(2)).ravel()
 
     def removed_from(self, state: Marginal, ids: np.ndarray) -> Marginal:
         """Return a state without it that was solved with it; `ids` (n,) are its landmarks."""
