@@ -85,7 +85,7 @@ class Prior:
 
 
 class Closed(NamedTuple):
-    """Keyframes that were marginalised, and what was measured from them."""
+    """Keyframes that were marginalised, and their measurements."""
 
     poses: np.ndarray
     stamps: list[float]

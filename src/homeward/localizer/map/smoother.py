@@ -7,7 +7,7 @@ the window are marginalised (Schur complement) into a Gaussian prior on the pose
 calibration and the landmarks.
 
 Home bearings may turn out to be wrong, and nothing that may have to be undone is marginalised.
-Where they move the map by more than bearings are linear, they are factors of each solution anew.
+Where they move the map by more than bearings are linear, they are factors of each solution.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class Smoother:
         self.at_home: HomeFactors | None = None
         """... and of home bearings."""
         self._known_by_home: HomeInformation | None = None
-        """What they added to the present state ..."""
+        """Their part of the present state ..."""
         self._added: HomeInformation | None = None
         """... and to the normal equations that were built last."""
         self.one_sided = list(ONE_SIDED)
@@ -162,10 +162,11 @@ class Smoother:
         """(w - 1, STEP): the motions between them."""
         self._next_id = 0
         self._closed: list[Closed] = []
-        self._keeps, self._is_complete = False, True
-        """Whether marginalised keyframes are kept for ever; whether they are all there."""
+        """The marginalised keyframes, ..."""
+        self._keeps_all, self._can_repeat = False, True
+        """... whether they are kept for ever, and whether they may be linearised again."""
         self._turned = 0.0
-        """By how much the prior is used away from where the keyframes were linearised [rad]."""
+        """By how much the map has turned since they were linearised [rad]."""
         self._drift, self._correlated = drift, correlated
         self._integrated_at = np.array([0.0, mean])
         """Delay and time constant [s] of the motions in the window."""
@@ -179,11 +180,11 @@ class Smoother:
         self.solve()
 
     def retain_marginalised(self) -> None:
-        """Keep marginalised keyframes for `whole`; memory then grows with the drive."""
-        self._keeps, self._closed = True, []
+        """Keep all marginalised keyframes for `whole`; memory then grows with the drive."""
+        self._keeps_all = True
 
     def whole(self) -> Smoother:
-        """Return a smoother with all keyframes since `retain_marginalised`, unsolved."""
+        """Return a smoother with all keyframes that are kept, unsolved."""
         unused = np.ones(len(ODOMETRY_CALIBRATION))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         own = Closed(self.poses, self.stamps, self.sightings, self.frames, self._steps.rows)
@@ -208,13 +209,13 @@ class Smoother:
     def linearise_again(self) -> None:
         """Solve for all keyframes and marginalise again, if the map has turned since.
 
-        A prior that has turned by d is wrong by d^2 / 2 of all distances. Not after a change of
+        The error of a prior that has turned by d is d^2 / 2 of all distances. Not after a change of
         the calibration, nor on a drive too long to be solved between two frames; and nothing
         changes if the solution does not converge.
         """
         turned = self._turned + float(self.poses[0, 2] - self._prior.at[2])
         is_right = turned**2 <= LINEAR * math.sqrt(self.state.covariance[2, 2])
-        if is_right or not self._is_complete:
+        if is_right or not self._can_repeat:
             return
         whole = self.whole()
         before = len(whole.poses) - len(self.poses)
@@ -570,8 +571,8 @@ class Smoother:
         frames = self.frames.take_before(first)
         chain = self.poses[:count].copy(), self.stamps[:count]
         self._closed.append(Closed(*chain, rows, frames, self._steps.rows[:count].copy()))
-        self._is_complete &= not changes and first < LONG_DRIVE
-        if not (self._is_complete or self._keeps):
+        self._can_repeat &= not changes and first < LONG_DRIVE
+        if not (self._can_repeat or self._keeps_all):
             self._closed = []
         self.first = first
         self.stamps = self.stamps[count:]

@@ -219,7 +219,7 @@ class HomeFactors(NamedTuple):
     """(m, 3): poses of the bearings' cameras in the frame of that one."""
 
     def among(self, ids: np.ndarray) -> HomeFactors | None:
-        """Return those of landmarks in a state; None if they say nothing about these."""
+        """Return those of landmarks in a state; None if they do not constrain these."""
         kept = np.isin(self.ids, ids)
         if kept.sum() <= MINIMAL:
             return None
@@ -245,7 +245,7 @@ class HomeFactors(NamedTuple):
         return jacobian, rest.T @ residual
 
     def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> HomeInformation:
-        """Add them to normal equations of poses, calibration and n landmarks; return what is added.
+        """Add them to normal equations of poses, calibration and n landmarks; return the addition.
 
         `positions` (n, 2) and `ids` (n,), ascending, are of the landmarks.
         """
@@ -266,7 +266,7 @@ class HomeInformation(NamedTuple):
     jacobian: np.ndarray
     """(2 m, k): Jacobian by their positions, transposed [1/m]."""
     measured: np.ndarray
-    """(k,): what was measured of them [1]."""
+    """(k,): their measured linear combinations [1]."""
 
     def columns(self, ids: np.ndarray, first: int) -> np.ndarray:
         """Return the columns (2 m,) of the landmarks, those of `ids` (n,) being from `first` on."""
