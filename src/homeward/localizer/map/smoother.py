@@ -25,7 +25,7 @@ from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.map.all_landmarks import AllLandmarks
 from homeward.localizer.map.passive import PassiveLandmarks
 from homeward.localizer.map.prior import Closed, Prior
-from homeward.localizer.map.ranges import range_residuals, range_sigmas, weigh_ranges
+from homeward.localizer.map.ranges import RangeFactors
 from homeward.localizer.map.sightings import (
     BEARING,
     COLUMNS,
@@ -601,12 +601,9 @@ class Smoother:
 
     def range_deviations(self, since: int) -> np.ndarray:
         """Return the residuals of ranges from keyframe `since` on, (m,) [standard deviations]."""
-        if not self.uses_ranges:
-            return np.zeros(0)
         rows = self.sightings
-        rows = rows[(rows[:, RANGE_SIGMA] > 0.0) & (rows[:, KEYFRAME] >= since)]
-        residual, _ = self._range_residuals(rows, self.poses, self.state.mean[3:])
-        return np.asarray(residual / range_sigmas(rows))
+        found = self._ranges(rows[rows[:, KEYFRAME] >= since])
+        return found.deviations(self.poses, self.state.mean[3:]) if found else np.zeros(0)
 
     def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
         """Return the effective standard deviations of rows (m,) [rad].
@@ -655,18 +652,18 @@ class Smoother:
         return add
 
     def _add_ranges(self, rows: np.ndarray) -> AddMore | None:
-        """Return what adds the ranges in rows of the table; None: there are none."""
+        """Return the function that adds the ranges in rows of the table; None: there are none."""
+        found = self._ranges(rows)
+        return found.add_to if found else None
+
+    def _ranges(self, rows: np.ndarray) -> RangeFactors | None:
+        """Return the ranges in rows of the table; None: there are none, or they are not used."""
         rows = rows[rows[:, RANGE_SIGMA] > 0.0]
         if not (len(rows) and self.uses_ranges):
             return None
-        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
-        p_static = self.p_static[landmark]
-
-        def add(e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
-            seen = self._range_residuals(rows, poses, shared)
-            kernels.add_sightings(e, weigh_ranges(rows, seen, p_static, pose, landmark))
-
-        return add
+        landmark = self.index(rows[:, LANDMARK])
+        known = landmark, self.p_static[landmark], self.range_ratio
+        return RangeFactors(rows, self.frames, self.first, *known)
 
     def _seen(self, rows: np.ndarray) -> SightedFrom:
         """Return the bearings in rows of the table, for the normal equations."""
@@ -681,19 +678,6 @@ class Smoother:
             self.frames.free,
             self.frames.jacobians,
         )
-
-    def _range_residuals(
-        self, rows: np.ndarray, poses: np.ndarray, shared: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals of ranges and their Jacobian; see `range_residuals`."""
-        frame = rows[:, FRAME].astype(int)
-        begin = int(frame.min(initial=self.frames.next))
-        some = self.frames.between(begin, int(frame.max(initial=begin - 1)) + 1)
-        eyes, by_head = some.eyes(poses[some.keyframes - self.first], shared[:NC])
-        cameras = eyes[frame - begin], by_head[frame - begin]
-        positions = shared[NC:].reshape(-1, 2)[self.index(rows[:, LANDMARK])]
-        scale = self.range_ratio * float(shared[SPEED_SCALE]), self.range_ratio
-        return range_residuals(rows, cameras, positions, *scale)
 
     def _linearisation_point(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks as one vector."""
