@@ -28,7 +28,7 @@ from homeward.localizer.motions import (
 )
 from homeward.localizer.recovery.monitor import SlipDetector
 from homeward.localizer.reference import window as elimination
-from homeward.localizer.reference.factors import bearing_residuals
+from homeward.localizer.reference.factors import bearing_residuals, cameras
 from homeward.localizer.resection import poses_from_triples
 from homeward.localizer.tunables import MEAN_S
 from homeward.odometry.validity import Clock
@@ -175,7 +175,8 @@ def test_bearings_have_the_derivatives_they_say():
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):
-        return bearing_residuals(0.4 * one, *frames.eyes(x[:3], x[3 : 3 + NC]), x[None, 3 + NC :])
+        eyes = cameras(frames.free, frames.jacobians, x[:3], x[3 : 3 + NC])
+        return bearing_residuals(0.4 * one, *eyes, x[None, 3 + NC :])
 
     _, jacobian = expected(x)
     for i in range(x.size):

@@ -18,13 +18,23 @@ from homeward.io.settings import validated
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.ranges import (
+    RangeFactors,
     RangeInput,
     ScaleErrors,
     place_by_ranges,
-    range_residuals,
-    weigh_ranges,
 )
-from homeward.localizer.map.sightings import AGE, COLUMNS, GAP, OWN, RANGE_SIGMA, SIGMA, Frames
+from homeward.localizer.map.sightings import (
+    AGE,
+    COLUMNS,
+    FRAME,
+    GAP,
+    KEYFRAME,
+    LOG_RANGE,
+    OWN,
+    RANGE_SIGMA,
+    SIGMA,
+    Frames,
+)
 from homeward.localizer.motions import NC, SPEED_SCALE, camera_after
 from homeward.localizer.settings import LocalizerSettings
 from homeward.track import run
@@ -102,9 +112,10 @@ def test_a_range_has_the_derivatives_it_says():
     row = frames.add(0, camera.uncalibrated, camera.jacobian, frame)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
+    ranges = RangeFactors(row, frames, 0, np.zeros(1, int), np.ones(1), ratio)
+
     def residual(x):
-        cameras = frames.eyes(x[None, :3], x[3 : 3 + NC])
-        return range_residuals(row, cameras, x[None, 3 + NC :], ratio * x[3 + SPEED_SCALE], ratio)
+        return ranges.residuals(x[None, :3], x[3:])
 
     jacobian = residual(x)[1][0]
     for i in range(x.size):
@@ -237,8 +248,12 @@ def test_errors_of_ranges_that_last_do_not_average_out():
     rows = np.full((2000, COLUMNS), np.nan)
     rows[:, AGE], rows[:, GAP] = 0.5 * np.arange(2000), 0.5
     rows[:, SIGMA], rows[:, OWN], rows[:, RANGE_SIGMA] = 0.01, 0.01, 0.05
-    seen, one = (np.zeros(2000), np.ones((2000, 5 + NC))), np.zeros(2000, int)
-    jacobian = weigh_ranges(rows, seen, np.ones(2000), one, one).jacobian
+    rows[:, [FRAME, KEYFRAME, LOG_RANGE]] = 0.0
+    frames, nothing = Frames(), WeighedFrame(0.0, [], np.zeros(0), np.zeros(0))
+    frames.add(0, np.zeros(3), np.zeros((3, NC)), nothing)
+    ranges = RangeFactors(rows, frames, 0, np.zeros(2000, int), np.ones(2000), 0.0)
+    ahead = np.append(np.zeros(NC), [1.0, 0.0])
+    jacobian = ranges.weighed(np.zeros((1, 3)), ahead).jacobian
     independent = np.cumsum(jacobian[:, 0] ** 2) * 0.05**2
     assert independent[-1] < 3.0
     assert independent[19] > 0.4  # of the first 10 s

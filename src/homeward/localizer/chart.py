@@ -212,7 +212,7 @@ class Chart:
         `whole` is the map with all keyframes in its window, solved. Where home is not found,
         everything stays as it was, and the return value is False.
         """
-        found = self.home.finalise(self.map, whole.state)
+        found = self.home.finalise(self.map, whole)
         if found:
             self.map.replace_solution(whole)
             self._integrity.update(self.home.hypotheses, True, self.home.stayed(self.map))

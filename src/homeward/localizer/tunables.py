@@ -114,6 +114,8 @@ MAX_RANGE = 20.0
 noise of one or two bearings."""
 MIN_INFORMATION_SHARE = 0.002
 """Share of the information on home that is kept when the spurious part is removed [1]."""
+HOME_ROUNDING = 1e-6
+"""Smallest share of a variance that remains when home is known, above rounding [1]."""
 IMPROBABLE = 1e-3
 """Hypotheses this much less probable than the best are dropped, and flips to such are not tried:
 fifty of them together stay below what the setting `sure` leaves open."""
@@ -316,6 +318,9 @@ RETRY_GROWTH = 1.1
 LONG_WINDOW = 7500
 """Keyframes times landmarks from which a window that waits for parallax is too long: the longest
 one with the landmarks of a room, fewer keyframes in a hall."""
+LONG_DRIVE = 4000
+"""Keyframes up to which all are solved again where the map has turned: half an hour of two a
+second, which takes about a second."""
 MIN_IDLE = 16
 """Landmarks out of view that are made passive at a time: with fewer, solutions take no longer."""
 COMMON_DIRECTIONS = 96

@@ -10,6 +10,7 @@ import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings
+from homeward.geometry.se2 import compose
 from homeward.localizer.home.hypotheses import (
     Hypotheses,
     Seed,
@@ -26,16 +27,21 @@ from homeward.localizer.home.turn_note import turn_notes
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.landmarks import numbers
 from homeward.localizer.map.map import Map
+from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.survey.factors import HomeFactors
 from homeward.localizer.map.survey.survey import exchange_notes
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     INLIER,
+    LINEAR,
     MAX_SEEDS,
     MAX_SEEDS_IN_DOUBT,
+    MIN_TOGETHER,
     PROBABLE,
     SEARCH_EVERY,
     SEARCH_PATIENCE,
+    VERIFIED,
 )
 
 START_NOTE = (
@@ -107,7 +113,7 @@ class HomeTracker:
         self._surveyed = known.registration.has_home
         if self._surveyed is not frame:  # the frame of home has changed
             now = None
-        problem = self.problem(known, known.smoother.state)
+        problem = self.problem(known, known.smoother)
         self.is_updated = True
         if now is not None and before == self.names:
             self.hypotheses = self._follow(problem, now, known)
@@ -117,28 +123,55 @@ class HomeTracker:
             self._seeds.clear()
             if self.hypotheses is not None and self._number_of_seeds(self.hypotheses) > MAX_SEEDS:
                 self._seeds.extend(seeds(problem, MAX_SEEDS_IN_DOUBT)[MAX_SEEDS:])
+        if known.evaluated:
+            known.smoother.at_home = self._factors(known)
 
-    def problem(self, known: Map, state: Marginal) -> HomeProblem:
-        """Return the resection problem by a state of the map.
+    def _factors(self, known: Map) -> HomeFactors | None:
+        """Return the inlier home bearings, if they move a part of the map beyond linear bearings.
+
+        From then on they stay in use. None if home is ambiguous or at the origin of a survey, or
+        the map is young.
+        """
+        now = self.hypotheses
+        if now is None or not known.is_window_full or known.registration.has_home:
+            return None
+        if self._is_doubted(now):
+            return None
+        best, used = now.best, now.best.inliers
+        problem, places = best.problem, best.landmarks[used]
+        moved = np.hypot(*(places - problem.landmarks[used]).T)
+        is_far = moved > LINEAR * np.hypot(*(places - best.home[:2]).T)
+        is_used = known.smoother.at_home is not None or is_far.sum() >= MIN_TOGETHER
+        if used.sum() < VERIFIED or not is_used:
+            return None
+        ids = known.smoother.ids[self._places[0][used]]
+        offsets = np.zeros((len(used), 3)) if problem.offsets is None else problem.offsets
+        camera = compose(best.home, problem.mount)
+        columns = problem.bearings[used], problem.sigmas[used]
+        return HomeFactors(ids, *columns, camera, offsets[used])
+
+    def problem(self, known: Map, smoother: Smoother, state: Marginal | None = None) -> HomeProblem:
+        """Return the resection problem by a solution of the map, or its state at another keyframe.
 
         It is in the odometry frame, or in home's frame if the map has a survey in that.
         """
+        state = smoother.without_home(smoother.state if state is None else state)
         state = known.registration.in_home_frame(state)
-        if known.smoother.p_static is not self._p_static:
-            self._places = known.places_for_home(self.names)
-            self._p_static = known.smoother.p_static
+        if smoother.p_static is not self._p_static:
+            self._places = known.places_for_home(self.names, smoother)
+            self._p_static = smoother.p_static
         problem = self.observation.problem(self.names, *self._places, state, self._noise)
         if not known.registration.has_home:
             return problem
         return problem.at_origin(known.registration.static_places(state))
 
-    def finalise(self, known: Map, state: Marginal) -> bool:
+    def finalise(self, known: Map, whole: Smoother) -> bool:
         """Search for home by the solution of a whole drive; return whether it is found.
 
         If it is not, nothing changes.
         """
         before = self.hypotheses.fits if self.hypotheses is not None else ()
-        found = search(self.problem(known, state), [f.seed for f in before])
+        found = search(self.problem(known, whole), [f.seed for f in before])
         self.hypotheses = found or self.hypotheses
         return found is not None
 

@@ -14,7 +14,7 @@ from homeward.geometry.se2 import compose
 from homeward.localizer import kernels
 from homeward.localizer.inputs.bearing_noise import BearingNoise, ById, WeighedFrame
 from homeward.localizer.map.gating import Gated
-from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.landmarks import Landmarks, numbers
 from homeward.localizer.map.learning.changes import ChangeTest, ModelChange
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.ranges import ScaleErrors
@@ -158,16 +158,22 @@ class Map:
         """
         return camera_after(motion, self._mount, self.smoother.state.calibration, offset)
 
-    def places_for_home(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def places_for_home(
+        self, names: list[str], smoother: Smoother
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return positions of q landmarks when home saw them, as far as known.
 
-        Their indices in the state (q,); the probability that each walks (q,), and the second moment
-        of its offset if so (q, 2, 2) [m^2].
+        Their indices in the state of a smoother (q,); the probability that each walks (q,), and the
+        second moment of its offset if so (q, 2, 2) [m^2].
         """
         known = self.landmarks
         landmarks = [known.former.get(n) or known.mapped[n] for n in names]
         walk_moment = np.array([m.walk_moment for m in landmarks]).reshape(-1, 2, 2)
-        return known.index(landmarks), known.walking_probabilities(landmarks), walk_moment
+        return (
+            smoother.index(numbers(landmarks)),
+            known.walking_probabilities(landmarks),
+            walk_moment,
+        )
 
     @property
     def is_window_full(self) -> bool:
@@ -478,3 +484,4 @@ class Map:
             self.landmarks.drop_candidates_before(smoother.first)
             if not self.registration.survey.known.is_given:
                 self.landmarks.deactivate(self.home)
+            smoother.linearise_again()

@@ -1,9 +1,13 @@
-"""Marginalisation prior of the window."""
+"""Marginalisation prior of the window, and the keyframes that it is of."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
+from homeward.localizer.map.sightings import Frames
 from homeward.localizer.motions import HEAD
 from homeward.localizer.reference.window import Conditional, Elimination
 
@@ -78,3 +82,25 @@ class Prior:
         by_rest = -by_new.T
         by_rest[:, c] = gain @ inverse
         return Conditional(gain @ gradient[c], by_rest, 0.5 * (gain + gain.T))
+
+
+class Closed(NamedTuple):
+    """Keyframes that were marginalised, and their measurements."""
+
+    poses: np.ndarray
+    stamps: list[float]
+    sightings: np.ndarray
+    frames: Frames
+    steps: np.ndarray
+
+    @staticmethod
+    def joined(parts: Sequence[Closed]) -> Closed:
+        """Return consecutive parts as one."""
+        poses, stamps, sightings, frames, steps = zip(*parts, strict=True)
+        return Closed(
+            np.concatenate(poses),
+            [t for part in stamps for t in part],
+            np.concatenate(sightings),
+            Frames.joined(frames),
+            np.concatenate(steps),
+        )

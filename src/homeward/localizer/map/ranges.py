@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +25,26 @@ from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import MIN_SQUARED_DISTANCE, Sight, sight
-from homeward.localizer.map.sightings import AGE, GAP, LOG_RANGE, OWN, RANGE_SIGMA, SIGMA
+from homeward.localizer import kernels
+from homeward.localizer.map.sightings import (
+    AGE,
+    FRAME,
+    GAP,
+    KEYFRAME,
+    LOG_RANGE,
+    OWN,
+    RANGE_SIGMA,
+    SIGMA,
+    Frames,
+)
 from homeward.localizer.map.triangulation import spaced, unit_vectors
 from homeward.localizer.motions import HEAD, NC, SPEED_SCALE
-from homeward.localizer.reference.factors import WeighedSightings, weigh_sightings
+from homeward.localizer.reference.factors import (
+    NormalEquations,
+    WeighedSightings,
+    cameras,
+    weigh_sightings,
+)
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     FIXED_SPEED_SCALE,
@@ -72,29 +89,61 @@ class ScaleErrors(NamedTuple):
         return ScaleErrors(speed**2 / both, speed * ranges / both, (ranges / speed) ** 2)
 
 
-def range_residuals(
-    rows: np.ndarray,
-    cameras: tuple[np.ndarray, np.ndarray],
-    positions: np.ndarray,
-    scale: float,
-    ratio: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals of ranges (m,), and the Jacobian of the expected ones (m, 13).
+@dataclass(frozen=True)
+class RangeFactors:
+    """Ranges of m sightings, as factors of keyframes, calibration and landmarks."""
 
-    `rows` (m, COLUMNS) are of the table of sightings, `cameras` the camera's poses (m, 3) and
-    Jacobians (m, 3, 13) (`Frames.eyes`), `positions` (m, 2) of the landmarks [m]; `scale` is the
-    logarithm of the scale of ranges, and `ratio` its derivative by the speed scale (`ScaleErrors`).
-    A residual is the logarithm of the measured over the expected range; the Jacobian is by
-    keyframe's pose, calibration and landmark.
-    """
-    eyes, by_head = cameras
-    seen = sight(eyes, positions)
-    by_place = np.stack([seen.by_place[:, 1], -seen.by_place[:, 0]], axis=1)
-    jacobian = np.empty((len(rows), 5 + NC))
-    jacobian[:, :HEAD] = -(by_place[:, None, :] @ by_head[:, :2])[:, 0]
-    jacobian[:, 3 + SPEED_SCALE] += ratio
-    jacobian[:, HEAD:] = by_place
-    return rows[:, LOG_RANGE] - _log_distances(seen) - scale, jacobian
+    rows: np.ndarray
+    """(m, COLUMNS): rows of the table of sightings."""
+    frames: Frames
+    """The frames of the window, ..."""
+    first: int
+    """... and the number of its oldest keyframe."""
+    landmark: np.ndarray
+    """(m,): indices of the landmarks in the state."""
+    p_static: np.ndarray
+    """(m,): probability that each is static [1]."""
+    ratio: float
+    """Logarithm of the scale of ranges, over the speed scale [1] (`ScaleErrors`)."""
+
+    def residuals(self, poses: np.ndarray, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals (m,), and the Jacobian of the expected values (m, 15).
+
+        `poses` (w, 3) are of the keyframes, `shared` (10 + 2 n,) calibration and landmarks. A
+        residual is the logarithm of the measured over the expected range; the Jacobian is by
+        keyframe's pose, calibration and landmark.
+        """
+        rows, frames = self.rows, self.frames
+        numbers, frame = np.unique(rows[:, FRAME].astype(int), return_inverse=True)
+        some = numbers - frames.first
+        keyframes = poses[frames.keyframes[some] - self.first]
+        eyes, by_head = cameras(frames.free[some], frames.jacobians[some], keyframes, shared[:NC])
+        seen = sight(eyes[frame], shared[NC:].reshape(-1, 2)[self.landmark])
+        by_place = np.stack([seen.by_place[:, 1], -seen.by_place[:, 0]], axis=1)
+        jacobian = np.empty((len(rows), 5 + NC))
+        jacobian[:, :HEAD] = -(by_place[:, None, :] @ by_head[frame, :2])[:, 0]
+        jacobian[:, 3 + SPEED_SCALE] += self.ratio
+        jacobian[:, HEAD:] = by_place
+        scale = self.ratio * float(shared[SPEED_SCALE])
+        return rows[:, LOG_RANGE] - _log_distances(seen) - scale, jacobian
+
+    def deviations(self, poses: np.ndarray, shared: np.ndarray) -> np.ndarray:
+        """Return the residuals over their standard deviations, (m,) [1]."""
+        return np.asarray(self.residuals(poses, shared)[0] / _sigmas(self.rows))
+
+    def weighed(self, poses: np.ndarray, shared: np.ndarray) -> WeighedSightings:
+        """Return them normalised, with the M-estimator of bearings for large residuals."""
+        rows = self.rows
+        gaps = np.maximum(rows[:, GAP], MIN_GAP_S)
+        times = np.maximum(rows[:, AGE], RANGE_CORRELATION_S)
+        correlated = rows[:, RANGE_SIGMA] ** 2 / np.tanh(gaps / (2.0 * times))
+        effective = np.sqrt((correlated + _odometry_variance(rows)) / self.p_static)
+        at = rows[:, KEYFRAME].astype(int) - self.first, self.landmark
+        return weigh_sightings(*self.residuals(poses, shared), _sigmas(rows), effective, *at)
+
+    def add_to(self, e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
+        """Add them to normal equations."""
+        kernels.add_sightings(e, self.weighed(poses, shared))
 
 
 def _log_distances(seen: Sight) -> np.ndarray:
@@ -103,27 +152,7 @@ def _log_distances(seen: Sight) -> np.ndarray:
     return np.asarray(0.5 * np.log(np.maximum(squares, MIN_SQUARED_DISTANCE)))
 
 
-def weigh_ranges(
-    rows: np.ndarray,
-    seen: tuple[np.ndarray, np.ndarray],
-    p_static: np.ndarray,
-    pose: np.ndarray,
-    landmark: np.ndarray,
-) -> WeighedSightings:
-    """Normalise range factors, with the M-estimator of bearings against large residuals.
-
-    `seen` is of `range_residuals`, `p_static` (m,) the probability that the landmark is static;
-    `pose` and `landmark` as for `weigh_sightings`.
-    """
-    odometry, sigma = _odometry_variance(rows), range_sigmas(rows)
-    gaps = np.maximum(rows[:, GAP], MIN_GAP_S)
-    times = np.maximum(rows[:, AGE], RANGE_CORRELATION_S)
-    correlated = rows[:, RANGE_SIGMA] ** 2 / np.tanh(gaps / (2.0 * times))
-    effective = np.sqrt((correlated + odometry) / p_static)
-    return weigh_sightings(*seen, sigma, effective, pose, landmark)
-
-
-def range_sigmas(rows: np.ndarray) -> np.ndarray:
+def _sigmas(rows: np.ndarray) -> np.ndarray:
     """Return the standard deviations of single ranges (m,), with the odometry noise [1]."""
     return np.asarray(np.sqrt(rows[:, RANGE_SIGMA] ** 2 + _odometry_variance(rows)))
 

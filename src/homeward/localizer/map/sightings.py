@@ -7,6 +7,7 @@ in the calibration; all sightings of a stamp share it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from homeward.localizer.reference.factors import (
     INFORMATION,
     PER_S,
     STEP,
-    cameras,
 )
 from homeward.localizer.tunables import MEAN_S
 from homeward.table import GrowingTable
@@ -89,11 +89,6 @@ class Frames:
         self._table.drop_last(1)
         self.offsets.pop(self.next, None)
 
-    def between(self, number: int, end: int) -> Frames:
-        """Return the frames from a number to another, without that."""
-        some = slice(number - self.first, end - self.first)
-        return Frames(number, GrowingTable.of(self._table.rows[some]))
-
     def take_before(self, keyframe: int) -> Frames:
         """Remove and return the frames of keyframes before a number."""
         count = int((self.keyframes < keyframe).sum())
@@ -109,17 +104,10 @@ class Frames:
         self.free[index], self.jacobians[index] = camera.uncalibrated, camera.jacobian
 
     @staticmethod
-    def joined(parts: list[Frames]) -> Frames:
+    def joined(parts: Sequence[Frames]) -> Frames:
         """Return consecutive tables as one."""
         rows = np.concatenate([part._table.rows for part in parts])
         return Frames(parts[0].first, GrowingTable.of(rows))
-
-    def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 13).
-
-        From keyframe poses (f, 3) or (3,) and the present calibration (10,); Jacobians are by both.
-        """
-        return cameras(self.free, self.jacobians, poses, calibration)
 
 
 def effective_sigmas(rows: np.ndarray, correlated: CorrelatedErrors) -> np.ndarray:

@@ -6,15 +6,15 @@ the landmarks; a motion to a new keyframe propagates it until the next solution.
 the window are marginalised (Schur complement) into a Gaussian prior on the pose after them, the
 calibration and the landmarks.
 
-Home is not part of it: a home bearing may turn out to be wrong, and nothing that may have to be
-undone is marginalised.
+Home bearings may turn out to be wrong, and nothing that may have to be undone is marginalised.
+Where they move the map by more than bearings are linear, they are factors of each solution.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from contextlib import suppress
 
 import numpy as np
 
@@ -24,8 +24,8 @@ from homeward.localizer import kernels
 from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.map.all_landmarks import AllLandmarks
 from homeward.localizer.map.passive import PassiveLandmarks
-from homeward.localizer.map.prior import Prior
-from homeward.localizer.map.ranges import range_residuals, range_sigmas, weigh_ranges
+from homeward.localizer.map.prior import Closed, Prior
+from homeward.localizer.map.ranges import RangeFactors
 from homeward.localizer.map.sightings import (
     BEARING,
     COLUMNS,
@@ -41,7 +41,7 @@ from homeward.localizer.map.sightings import (
     step_row,
 )
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.factors import SurveyFactors
+from homeward.localizer.map.survey.factors import HomeFactors, HomeInformation, SurveyFactors
 from homeward.localizer.motions import (
     CAMERA_YAW,
     DELAY,
@@ -78,9 +78,11 @@ from homeward.localizer.tunables import (
     INLIER,
     LAG_GATE,
     LINEAR,
+    LONG_DRIVE,
     MIN_CALIBRATION_SIGMA,
     MIN_CHANGE,
     MIN_IDLE,
+    NUM_WHOLE_SOLVES,
     STALE_S,
 )
 from homeward.table import GrowingTable
@@ -90,16 +92,6 @@ ONE_SIDED = [TURN_SLIP, TIME_CONSTANT]
 """
 NO_TAIL = np.ones(2)
 """Ratios of inlier variances of shift and turn where motions have no heavy tail [1]."""
-
-
-class Closed(NamedTuple):
-    """Marginalised keyframes, kept for smoothing the whole drive."""
-
-    poses: np.ndarray
-    stamps: list[float]
-    sightings: np.ndarray
-    frames: Frames
-    steps: np.ndarray
 
 
 class Smoother:
@@ -148,7 +140,13 @@ class Smoother:
         self.time_constant_prior = mean, max(sigma, FIXED_TIME_CONSTANT_S)
         """... of the time constant: its mean and standard deviation [s] ..."""
         self.survey = SurveyFactors.none()
-        """... and the survey of landmarks."""
+        """... of the survey of landmarks ..."""
+        self.at_home: HomeFactors | None = None
+        """... and of home bearings."""
+        self._known_by_home: HomeInformation | None = None
+        """Their part of the present state ..."""
+        self._added: HomeInformation | None = None
+        """... and to the normal equations that were built last."""
         self.one_sided = list(ONE_SIDED)
         """Unknowns that cannot be negative, as long as odometry is not corrected for them."""
         self._bounded = np.zeros(NC, bool)
@@ -163,7 +161,12 @@ class Smoother:
         self._steps = GrowingTable((STEP,))
         """(w - 1, STEP): the motions between them."""
         self._next_id = 0
-        self._closed: list[Closed] | None = None
+        self._closed: list[Closed] = []
+        """The marginalised keyframes, ..."""
+        self._keeps_all, self._can_repeat = False, True
+        """... whether they are kept for ever, and whether they may be linearised again."""
+        self._turned = 0.0
+        """By how much the map has turned since they were linearised [rad]."""
         self._drift, self._correlated = drift, correlated
         self._integrated_at = np.array([0.0, mean])
         """Delay and time constant [s] of the motions in the window."""
@@ -177,36 +180,56 @@ class Smoother:
         self.solve()
 
     def retain_marginalised(self) -> None:
-        """Keep marginalised keyframes for `whole`; memory then grows with the drive."""
-        self._closed = []
+        """Keep all marginalised keyframes for `whole`; memory then grows with the drive."""
+        self._keeps_all = True
 
     def whole(self) -> Smoother:
-        """Return a smoother with all keyframes since `retain_marginalised`, unsolved."""
+        """Return a smoother with all keyframes that are kept, unsolved."""
         unused = np.ones(len(ODOMETRY_CALIBRATION))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
-        closed = self._closed or []
+        own = Closed(self.poses, self.stamps, self.sightings, self.frames, self._steps.rows)
+        found = Closed.joined([*self._closed, own])
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
         whole.scale_before = self.scale_before
         whole.one_sided, whole._bounded = self.one_sided, self._bounded
         whole.time_constant_prior = self.time_constant_prior
-        whole.first = self.first - sum(len(part.poses) for part in closed)
-        whole._poses = GrowingTable.of(
-            np.concatenate([*(part.poses for part in closed), self.poses])
-        )
-        whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
-        rows = np.concatenate([*(part.sightings for part in closed), self.sightings])
+        whole.first = self.newest + 1 - len(found.poses)
+        whole._poses, whole._steps = GrowingTable.of(found.poses), GrowingTable.of(found.steps)
+        whole.stamps, whole.frames = found.stamps, found.frames
         landmarks = self.all_landmarks
         whole.ids = ids = landmarks.ids
         whole.state, whole.p_static = landmarks.joint(ids), landmarks.static_probabilities(ids)
-        whole.sightings = rows[np.isin(rows[:, LANDMARK], ids)]
-        whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
-        steps = [*(part.steps for part in closed), self._steps.rows]
-        whole._steps = GrowingTable.of(np.concatenate(steps))
-        whole.survey = self.survey
+        whole.sightings = found.sightings[np.isin(found.sightings[:, LANDMARK], ids)]
+        whole.survey, whole.at_home = self.survey, self.at_home
         information = np.eye(whole.state.mean.size) * (INFINITY_RATIO * self.state.scale) ** -2
         information[:HEAD, :HEAD] = self._first_information
         whole._prior = Prior(information)
         return whole
+
+    def linearise_again(self) -> None:
+        """Solve for all keyframes and marginalise again, if the map has turned since.
+
+        The error of a prior that has turned by d is d^2 / 2 of all distances. Not after a change of
+        the calibration, nor on a drive too long to be solved between two frames; and nothing
+        changes if the solution does not converge.
+        """
+        turned = self._turned + float(self.poses[0, 2] - self._prior.at[2])
+        is_right = turned**2 <= LINEAR * math.sqrt(self.state.covariance[2, 2])
+        if is_right or not self._can_repeat:
+            return
+        whole = self.whole()
+        before = len(whole.poses) - len(self.poses)
+        self._turned = 0.0
+        with suppress(np.linalg.LinAlgError):
+            for _ in range(NUM_WHOLE_SOLVES):
+                whole.solve()
+                if whole.converged:
+                    break
+            if whole.converged:
+                whole.marginalise(before)
+                self._poses, self._prior, self.passive = whole._poses, whole._prior, whole.passive
+                self.ids, self.p_static, self.state = whole.ids, whole.p_static, whole.state
+                self._bounded, self._known_by_home = whole._bounded, whole._known_by_home
 
     @property
     def all_landmarks(self) -> AllLandmarks:
@@ -380,12 +403,12 @@ class Smoother:
 
     def scale_noise(self, factor: float) -> None:
         """Scale the measurement noise of all sightings in the window."""
-        for rows in (self.sightings, *(part.sightings for part in self._closed or [])):
+        for rows in (self.sightings, *(part.sightings for part in self._closed)):
             scale_noise(rows, factor)
 
     def scale_odometry(self, factors: np.ndarray) -> None:
         """Scale variances of shift and turn by factors (2, 2): of inlier motions, and of all."""
-        for steps in (self._steps.rows, *(part.steps for part in self._closed or [])):
+        for steps in (self._steps.rows, *(part.steps for part in self._closed)):
             scale_steps(steps, factors[0])
         self.variances.rows[:] *= factors[1]
 
@@ -422,6 +445,7 @@ class Smoother:
         every = np.append(self.ids, back)
         order = every.argsort()
         joint = self.all_landmarks.joint(every[order])
+        self._known_by_home = self._added
         self._move_linearisation_point()
         index = self.passive.index(back)
         p_static = self.passive.p_static[index]
@@ -461,6 +485,7 @@ class Smoother:
     def _move_linearisation_point(self) -> None:
         """Linearise the prior, and passive landmarks, at the present estimate."""
         now = self._linearisation_point()
+        self._turned += float(now[2] - self._prior.at[2])
         self.passive.move(now - self._prior.at)
         self._prior.move_to(now)
 
@@ -472,6 +497,7 @@ class Smoother:
         found = kernels.solve(self._window(), self._add_more())
         mean = np.concatenate([found.poses[-1], found.shared])
         self._poses, self.state = GrowingTable.of(found.poses), Marginal(mean, found.covariance)
+        self._known_by_home = self._added
         self._bounded, self.converged = found.is_bounded, found.has_converged
         if self.converged:
             self._converged_at = self.newest
@@ -543,10 +569,11 @@ class Smoother:
         if len(self.passive):
             self.passive.replace(slice(3), eliminated.oldest())
         frames = self.frames.take_before(first)
-        if self._closed is not None:
-            chain = self.poses[:count].copy(), self.stamps[:count]
-            steps = self._steps.rows[:count].copy()
-            self._closed.append(Closed(*chain, rows, frames, steps))
+        chain = self.poses[:count].copy(), self.stamps[:count]
+        self._closed.append(Closed(*chain, rows, frames, self._steps.rows[:count].copy()))
+        self._can_repeat &= not changes and first < LONG_DRIVE
+        if not (self._can_repeat or self._keeps_all):
+            self._closed = []
         self.first = first
         self.stamps = self.stamps[count:]
         self._poses.drop_first(count)
@@ -556,6 +583,16 @@ class Smoother:
         before = self._prior.replace(eliminated, self._linearisation_point(), drift)
         self.passive.replace(slice(3, HEAD), before)
 
+    def without_home(self, state: Marginal, ids: np.ndarray | None = None) -> Marginal:
+        """Return a state of the last solution, or propagated from it, without home factors.
+
+        Its landmarks are those of `ids` (n,), by default the active ones.
+        """
+        known = self._known_by_home
+        return (
+            state if known is None else known.removed_from(state, self.ids if ids is None else ids)
+        )
+
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""
         rows = self.sightings
@@ -564,12 +601,9 @@ class Smoother:
 
     def range_deviations(self, since: int) -> np.ndarray:
         """Return the residuals of ranges from keyframe `since` on, (m,) [standard deviations]."""
-        if not self.uses_ranges:
-            return np.zeros(0)
         rows = self.sightings
-        rows = rows[(rows[:, RANGE_SIGMA] > 0.0) & (rows[:, KEYFRAME] >= since)]
-        residual, _ = self._range_residuals(rows, self.poses, self.state.mean[3:])
-        return np.asarray(residual / range_sigmas(rows))
+        found = self._ranges(rows[rows[:, KEYFRAME] >= since])
+        return found.deviations(self.poses, self.state.mean[3:]) if found else np.zeros(0)
 
     def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
         """Return the effective standard deviations of rows (m,) [rad].
@@ -600,31 +634,36 @@ class Smoother:
         return Window(self.poses, shared, *known, weights, means, *bounds)
 
     def _add_more(self) -> AddMore | None:
-        """Return what adds survey and ranges to normal equations; None: there are none."""
+        """Return what adds survey, home and ranges to normal equations; None: there are none."""
         add_ranges, survey, ids = self._add_ranges(self.sightings), self.survey, self.ids
-        if not survey.is_given:
+        at_home, self._added = self.at_home and self.at_home.among(ids), None
+        if not survey.is_given and at_home is None:
             return add_ranges
 
         def add(e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
-            survey.add_to(e, shared[NC:].reshape(-1, 2), ids)
+            positions = shared[NC:].reshape(-1, 2)
+            if survey.is_given:
+                survey.add_to(e, positions, ids)
+            if at_home is not None:
+                self._added = at_home.add_to(e, positions, ids)
             if add_ranges is not None:
                 add_ranges(e, poses, shared)
 
         return add
 
     def _add_ranges(self, rows: np.ndarray) -> AddMore | None:
-        """Return what adds the ranges in rows of the table; None: there are none."""
+        """Return the function that adds the ranges in rows of the table; None: there are none."""
+        found = self._ranges(rows)
+        return found.add_to if found else None
+
+    def _ranges(self, rows: np.ndarray) -> RangeFactors | None:
+        """Return the ranges in rows of the table; None: there are none, or they are not used."""
         rows = rows[rows[:, RANGE_SIGMA] > 0.0]
         if not (len(rows) and self.uses_ranges):
             return None
-        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
-        p_static = self.p_static[landmark]
-
-        def add(e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
-            seen = self._range_residuals(rows, poses, shared)
-            kernels.add_sightings(e, weigh_ranges(rows, seen, p_static, pose, landmark))
-
-        return add
+        landmark = self.index(rows[:, LANDMARK])
+        known = landmark, self.p_static[landmark], self.range_ratio
+        return RangeFactors(rows, self.frames, self.first, *known)
 
     def _seen(self, rows: np.ndarray) -> SightedFrom:
         """Return the bearings in rows of the table, for the normal equations."""
@@ -639,19 +678,6 @@ class Smoother:
             self.frames.free,
             self.frames.jacobians,
         )
-
-    def _range_residuals(
-        self, rows: np.ndarray, poses: np.ndarray, shared: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals of ranges and their Jacobian; see `range_residuals`."""
-        frame = rows[:, FRAME].astype(int)
-        begin = int(frame.min(initial=self.frames.next))
-        some = self.frames.between(begin, int(frame.max(initial=begin - 1)) + 1)
-        eyes, by_head = some.eyes(poses[some.keyframes - self.first], shared[:NC])
-        cameras = eyes[frame - begin], by_head[frame - begin]
-        positions = shared[NC:].reshape(-1, 2)[self.index(rows[:, LANDMARK])]
-        scale = self.range_ratio * float(shared[SPEED_SCALE]), self.range_ratio
-        return range_residuals(rows, cameras, positions, *scale)
 
     def _linearisation_point(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks as one vector."""

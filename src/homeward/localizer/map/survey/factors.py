@@ -1,8 +1,12 @@
-"""Survey factors: surveyed positions and known distances of landmarks.
+"""Survey and home factors: positions and distances of landmarks, and their bearings from home.
 
 A survey in its own frame is a rigid body whose pose in the map, the datum, is unknown: for given
 landmarks it follows by weighted least squares (Procrustes; a 2-D Helmert transformation without
 scale), and is eliminated.
+
+Home factors, bearings of landmarks that home saw, close the loop where a robot comes home after a
+long way, on which the map has bent by more than bearings are linear. Home bearings may turn out to
+be wrong, so they are never marginalised; home's hypotheses are tested on the map without them.
 """
 
 from __future__ import annotations
@@ -13,11 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.geometry.se2 import between, lever, rotation
+from homeward.geometry.angles import wrap
+from homeward.geometry.se2 import between, composition, lever, rotation, sight
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC
 from homeward.localizer.reference.factors import NormalEquations
-from homeward.localizer.tunables import CLOSE_STEPS, ONE_PLACE
+from homeward.localizer.tunables import CLOSE_STEPS, HOME_ROUNDING, MINIMAL, ONE_PLACE
 
 
 class Datum(NamedTuple):
@@ -197,3 +202,87 @@ def distance_and_jacobian(two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     off = two[..., 1, :] - two[..., 0, :]
     apart = np.maximum(np.hypot(off[..., 0], off[..., 1]), 1e-6)
     return apart, np.concatenate([-off, off], axis=-1) / apart[..., None]
+
+
+class HomeFactors(NamedTuple):
+    """Home bearings of m landmarks, from a camera whose pose is unknown."""
+
+    ids: np.ndarray
+    """(m,): ids of the landmarks in the smoother."""
+    bearings: np.ndarray
+    """(m,): from the camera's axis [rad]."""
+    sigmas: np.ndarray
+    """(m,): their standard deviations [rad]."""
+    camera: np.ndarray
+    """(3,): about the pose of the camera, in the odometry frame."""
+    offsets: np.ndarray
+    """(m, 3): poses of the bearings' cameras in the frame of that one."""
+
+    def among(self, ids: np.ndarray) -> HomeFactors | None:
+        """Return those of landmarks in a state; None if they do not constrain these."""
+        kept = np.isin(self.ids, ids)
+        if kept.sum() <= MINIMAL:
+            return None
+        ids, bearings, sigmas = self.ids[kept], self.bearings[kept], self.sigmas[kept]
+        return HomeFactors(ids, bearings, sigmas, self.camera, self.offsets[kept])
+
+    def linear(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the Jacobian of the landmarks (2 m, m - 3), and the residuals (m - 3,).
+
+        Both are normalised, and the camera's pose is eliminated; `places` (m, 2) [m].
+        """
+        camera = self.camera
+        for _ in range(CLOSE_STEPS):
+            eyes, by_camera, _ = composition(camera, self.offsets)
+            seen = sight(eyes, places)
+            residual = wrap(self.bearings - seen.bearing) / self.sigmas
+            by_eye = np.column_stack([-seen.by_place, -np.ones(len(places))])
+            by_camera = (by_eye[:, None] @ by_camera)[:, 0] / self.sigmas[:, None]
+            camera = camera + np.linalg.lstsq(by_camera, residual)[0]
+        rest = np.linalg.qr(by_camera, mode="complete")[0][:, 3:]
+        by_place = seen.by_place / self.sigmas[:, None]
+        jacobian = (by_place[:, :, None] * rest[:, None]).reshape(-1, rest.shape[1])
+        return jacobian, rest.T @ residual
+
+    def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> HomeInformation:
+        """Add them to normal equations of poses, calibration and n landmarks; return the addition.
+
+        `positions` (n, 2) and `ids` (n,), ascending, are of the landmarks.
+        """
+        places = positions[np.searchsorted(ids, self.ids)]
+        jacobian, residual = self.linear(places)
+        added = HomeInformation(self.ids, jacobian, residual + jacobian.T @ places.ravel())
+        at = added.columns(ids, NC)
+        e.common[np.ix_(at, at)] += jacobian @ jacobian.T
+        e.common_slope[at] += jacobian @ residual
+        return added
+
+
+class HomeInformation(NamedTuple):
+    """Home factors, linearised: k measurements of m landmarks, independent with unit variance."""
+
+    ids: np.ndarray
+    """(m,): ids of the landmarks in the smoother."""
+    jacobian: np.ndarray
+    """(2 m, k): Jacobian by their positions, transposed [1/m]."""
+    measured: np.ndarray
+    """(k,): their measured linear combinations [1]."""
+
+    def columns(self, ids: np.ndarray, first: int) -> np.ndarray:
+        """Return the columns (2 m,) of the landmarks, those of `ids` (n,) being from `first` on."""
+        order = ids.argsort()
+        index = order[ids.searchsorted(self.ids, sorter=order)]
+        return (first + 2 * index[:, None] + np.arange(2)).ravel()
+
+    def removed_from(self, state: Marginal, ids: np.ndarray) -> Marginal:
+        """Return a state without it that was solved with it; `ids` (n,) are its landmarks."""
+        if not np.isin(self.ids, ids).all():
+            return state
+        at = self.columns(ids, HEAD)
+        gain = state.covariance[:, at] @ self.jacobian
+        shares, axes = np.linalg.eigh(self.jacobian.T @ gain[at])
+        gain = gain @ (axes / np.sqrt(np.maximum(1.0 - shares, HOME_ROUNDING)))
+        covariance = state.covariance + gain @ gain.T
+        residual = self.measured - self.jacobian.T @ state.mean[at]
+        step = covariance[:, at] @ (self.jacobian @ residual)
+        return Marginal(state.mean - step, covariance)

@@ -254,12 +254,13 @@ class Registration:
         return self._smoother.without_survey(self.survey.size)
 
     def measured(self, landmarks: Collection[Landmark]) -> Marginal:
-        """Return the state with some landmarks and no others, without the survey.
+        """Return the state with some landmarks and no others, without survey and home bearings.
 
         `numpy.linalg.LinAlgError` when there is too little of it.
         """
         if not self.survey.known.is_given:
-            return self._smoother.all_landmarks.joint(numbers(landmarks))
+            ids = numbers(landmarks)
+            return self._smoother.without_home(self._smoother.all_landmarks.joint(ids), ids)
         columns = Marginal.columns(self._landmarks.index(landmarks))
         return self.without_survey().reordered(np.append(np.arange(HEAD), columns))
 
