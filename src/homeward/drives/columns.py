@@ -55,6 +55,8 @@ _AMBIGUOUS = ("mil", "mils", "turn")
 """Units with two meanings, or names of roles."""
 _NO_UNITS = ("x", "y", "z", "w")
 """Texts in square brackets that are no unit but an axis."""
+LANDMARKS = "landmark tag marker beacon landmarke marke"
+"""Names of a landmark, which a number may follow: the column then has its bearings."""
 ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
@@ -80,7 +82,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
     ),
     "landmark": (
         "name",
-        "landmark id tag marker beacon feature name label subject barcode landmarke marke "
+        f"{LANDMARKS} id feature name label subject barcode "
         "landmark.id tag.id marker.id landmark.name class",
     ),
     "bearing": (
@@ -179,6 +181,8 @@ EXCLUDED["landmark"] = UNUSED | NO_LANDMARK
 """Words in names of columns that have no such role; `UNUSED` for others."""
 _OF_PIXELS = ("pixel", "px", "image")
 """Words in names of columns of pixels."""
+TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
+"""Matches the name of a file or topic with ground-truth poses, in small letters."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
 

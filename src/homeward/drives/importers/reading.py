@@ -270,8 +270,9 @@ def drive_of(
     remarks = {reason: n for one in found for reason, n in one.remarks.items()}
     odometry = _odometry(found, tables, wheels, remarks)
     given: dict[str, Any] = {"epoch": epoch} if epoch else {}
-    if wheels not in (None, Wheels()) and "gyro" not in tables:
-        given["wheels"] = wheels
+    if wheels not in (None, Wheels()):
+        turned_by_gyro = "gyro" in tables or "omega" in tables["odometry"].columns
+        given["wheels"] = wheels.without_turns if turned_by_gyro else wheels
     if REMARK in remarks:
         given["signs_changed"] = remarks[REMARK]
     drive = Drive(
