@@ -461,7 +461,7 @@ def test_units_in_names(name, quantity, unit):
         ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields, but the header has 3"),
         ("# made by hand\nt,v,w\n0,1,0\n0.1,inf,0\n", (), "row 4"),
         ("t,v,w\n0,300,0\n", (), "too fast for m/s; give its unit"),
-        ("t,front_vel,rear_vel,w\n0,1,1,0\n", (), "may both be v"),
+        ("t,front_vel,rear_vel,w\n0,1,1,0\n", (), "or 'v=rear_vel'"),
         ("t,v,w\n0,1,0\n", ("v=speed",), "no file has a column 'speed'"),
         ("t,v,w\n0,1,0\n", ("v=v[furlong]",), "units of v are m/s"),
         ("t,v,w\n0,1,0\n", ("mass=v",), "the role must be one of"),

@@ -307,7 +307,8 @@ def assigned(
         taken.add(likeliest[0])
     for role, one, other in ambiguous:
         raise InputError(
-            f"{one!r} and {other!r} may both be {role}", advice=f"use --columns '{role}={one}'"
+            f"{one!r} and {other!r} may both be {role}",
+            advice=f"use --columns '{role}={one}' or '{role}={other}'",
         )
     return found
 
