@@ -20,6 +20,7 @@ from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from homeward.drives.drive import Drive
 from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
+from homeward.places.joint_map import JointMap, datum
 from homeward.places.place import Place
 from homeward.places.visit_data import collect_visit
 from homeward.places.visiting import first_place, merged
@@ -112,15 +113,10 @@ def home_error(place: Place, hall: Warehouse) -> float:
     fresh = [n for n in fresh if place.persistence[n].stands > 0.5]
     if len(fresh) < 2:
         return math.nan
-    truth = [between(HOME.pose, Pose(*hall.places[n], 0.0))[:2] for n in fresh]
-    q = np.array(truth) @ [1.0, 1.0j]
-    some = place.map.marginal(fresh)
-    order = [some.names.index(n) for n in fresh]
-    p = some.positions[order] @ np.array([1.0, 1.0j])
-    weight = some.sigmas[order] ** -2.0
-    p0, q0 = np.average(p, weights=weight), np.average(q, weights=weight)
-    turn = np.vdot(p - p0, weight * (q - q0))
-    return float(abs(q0 - turn / abs(turn) * p0))
+    there = [between(HOME.pose, Pose(*hall.places[n], 0.0))[:2] for n in fresh]
+    exact = np.zeros((2 * len(fresh), 2 * len(fresh)))
+    truth = JointMap(tuple(fresh), (), np.ravel(there), exact)
+    return float(np.hypot(*datum(place.map, truth, fresh)[:2]))
 
 
 def main() -> None:

@@ -59,6 +59,8 @@ def assert_same(drive):
         *({"speeds": (name, 1852 / 3600)} for name in ("speed (kn)", "speed_knots")),
         *({"speeds": (name, 0.44704)} for name in ("speed_mph", "v (mph)")),
         {"speeds": ("v (in/s)", 0.0254)},
+        {"speeds": ("speed_m_per_s", 1.0), "rates": ("yaw_rate_deg_per_s", math.pi / 180)},
+        {"rates": ("theta_dot", 1.0), "times": ("us", 1e-6)},
         {"speeds": ("speed [m/min]", 1 / 60)},
         {"speeds": ("v [m s-1]", 1.0)},
         {"rates": ("omega [rpm]", math.tau / 60)},

@@ -47,6 +47,7 @@ def assert_same(odometry, tolerance=1e-6):
         ("left_distance_mm,right_distance_mm", 1e3 * TRAVEL),
         ("vl [m/s],vr [m/s]", SPEEDS),
         ("omega_l,omega_r", SPEEDS / 0.05),
+        ("left_rad_per_s,right_rad_per_s", SPEEDS / 0.05),
         ("leftRpm,rightRpm", SPEEDS / 0.05 * 60 / (2 * np.pi)),
         ("left_vel_mm_s,right_vel_mm_s", 1e3 * SPEEDS),
         ("w_left_rad_s,w_right_rad_s", SPEEDS / 0.05),

@@ -183,6 +183,25 @@ def test_commas_may_stand_in_the_names_of_columns(tmp_path):
     assert [one.column.name for one in found] == ["when", "Speed, filtered", "w"]
 
 
+def test_one_option_may_name_the_columns_of_several_files(tmp_path):
+    paths = write(tmp_path, o="0,0.1,0\n0.1,0.1,0\n", b="0,A,100\n0.1,A,100\n")
+    roles = "o.csv: t=1, v=2, omega=3, b.csv: t=1, landmark=2, bearing=3[gon]"
+    bearing = next(one for one in understand(paths, [roles]) if one.column.role == "bearing")
+    assert bearing.table["bearing"] == pytest.approx([math.pi / 2] * 2)
+
+
+def test_home_bearings_in_radians_are_not_read_in_the_degrees_of_the_drive(tmp_path):
+    texts = {
+        "odometry": "t,v,w\n0,0.1,0\n0.1,0.1,0\n",
+        "seen": "t,id,bearing\n0,A,12.5\n0.1,B,-80\n",
+        "home": "id,bearing\nA,-3.1\nB,0.2\nC,2.0\n",
+    }
+    with pytest.raises(InputError, match=r"only 3.1, but .* in deg; give .*bearing=bearing\[rad\]"):
+        imported(tmp_path, **texts)
+    drive = imported(tmp_path, ["home.csv: bearing=bearing[rad]"], **texts)
+    assert drive.home["C"].bearing == 2.0
+
+
 def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
     """A deviation of 0.57 deg is none of 0.57 rad, nor is home ahead of a robot full of radians."""
     found = understand(
@@ -381,6 +400,10 @@ def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
     assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
     assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
     assert drive.truth.heading == pytest.approx(np.linspace(0, np.pi, 5))
+    level = [line.split(" ") for line in truth.splitlines()[1:]]
+    planar = "t,x,y,qz,qw\n" + "\n".join(",".join([*r[:3], *r[-2:]]) for r in level)
+    drive = imported(tmp_path, **texts | {"mocap.txt": planar})
+    assert drive.truth.heading == pytest.approx(np.linspace(0, np.pi, 5))
     (tmp_path / "my-odom.csv").rename(tmp_path / "robot_pose.csv")
     drive = drive_of(understand(sorted(tmp_path.iterdir())), "poses")
     assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
@@ -438,7 +461,7 @@ def test_units_in_names(name, quantity, unit):
         ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields, but the header has 3"),
         ("# made by hand\nt,v,w\n0,1,0\n0.1,inf,0\n", (), "row 4"),
         ("t,v,w\n0,300,0\n", (), "too fast for m/s; give its unit"),
-        ("t,front_vel,rear_vel,w\n0,1,1,0\n", (), "may both be v"),
+        ("t,front_vel,rear_vel,w\n0,1,1,0\n", (), "or 'v=rear_vel'"),
         ("t,v,w\n0,1,0\n", ("v=speed",), "no file has a column 'speed'"),
         ("t,v,w\n0,1,0\n", ("v=v[furlong]",), "units of v are m/s"),
         ("t,v,w\n0,1,0\n", ("mass=v",), "the role must be one of"),

@@ -14,7 +14,15 @@ from homeward.drives.importers import reading
 from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.importers.sense import NOT_DECIDED
 from homeward.drives.opening import open_drive, sample_drive, save_drive
-from homeward.drives.senses import REMEDIES, SHOWS, UNDECIDED, Sense, compare_senses, senses_of
+from homeward.drives.senses import (
+    REMEDIES,
+    SHOWS,
+    UNDECIDED,
+    Sense,
+    compare_senses,
+    num_fixed_speeds,
+    senses_of,
+)
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
@@ -71,6 +79,33 @@ def test_a_run_refuses_bearings_in_a_fixed_frame(plain, tmp_path):
     settings = tmp_path / "drive" / "drive.yaml"
     settings.write_text("check_senses: false\n", encoding="utf-8")
     assert remark not in opened(RunSettings(drive=str(tmp_path / "drive"))).remarks
+
+
+def test_speeds_along_the_axes_of_a_fixed_frame_are_refused(plain, tmp_path):
+    o = plain.odometry
+    heading = plain.truth.at(o.t).heading
+    fixed = dataclasses.replace(o, v=o.v * np.cos(heading), vy=o.v * np.sin(heading))
+    save_drive(dataclasses.replace(plain, odometry=fixed), tmp_path / "drive")
+    with pytest.raises(InputError, match=r"axes of a fixed frame.*check_senses: false"):
+        opened(RunSettings(drive=str(tmp_path / "drive")))
+    settings = tmp_path / "drive" / "drive.yaml"
+    settings.write_text("check_senses: false\n", encoding="utf-8")
+    assert open_drive(tmp_path / "drive").odometry.strafes
+    paths = [tmp_path / "drive" / f"{name}.csv" for name in ("odometry", "bearings", "home")]
+    with pytest.raises(InputError, match=r"axes of a fixed frame.*--columns 'vy=COLUMN'"):
+        drive_of(understand(paths), "")
+    assert drive_of(understand(paths, ["vy=vy"]), "").odometry.strafes
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_robot_that_strafes_or_whose_centre_is_not_its_axle_has_speeds_of_its_own(plain, seed):
+    o, rng = plain.odometry, np.random.default_rng(seed)
+    ahead, left = rng.uniform(-0.5, 0.5, 2)
+    beside = dataclasses.replace(o, v=o.v - left * o.omega, vy=ahead * o.omega)
+    direction = np.repeat(rng.uniform(-math.pi, math.pi, 1 + o.t.size // 50), 50)[: o.t.size]
+    strafing = dataclasses.replace(o, v=o.v * np.cos(direction), vy=o.v * np.sin(direction))
+    for odometry in (beside, strafing):
+        assert not num_fixed_speeds(odometry)
 
 
 def left_laps(sign):

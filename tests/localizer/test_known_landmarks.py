@@ -235,7 +235,7 @@ def test_wrong_surveys_are_named_and_do_no_harm(frame, off):
         off_by = [math.dist(a.pose[:2], p[:2]) for a, p in rig.answers[-100:]]
         nees.append(np.median(rig.nees()))
         late.append(np.sqrt(np.square(off_by).mean()))
-        assert f"{12 - off} of 12 surveyed" in " ".join(rig.localizer.notes)
+        assert f"{12 - off} of 12 known landmarks" in " ".join(rig.localizer.notes)
     assert NEES[0] < np.mean(nees) < NEES[1]
     assert max(late) < 0.03  # 0.05 and more when the speed is taken at its word
 
@@ -248,7 +248,7 @@ def test_a_survey_of_another_place_altogether_is_not_believed():
     rig.localizer = Localizer(rig.home, known=known, **rig.settings.robot)
     rig.drive(40.0)
     assert rig.wrong_share() < 0.01
-    assert "0 of 8 surveyed" in " ".join(rig.localizer.notes)
+    assert "0 of 8 known landmarks" in " ".join(rig.localizer.notes)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -338,7 +338,7 @@ def test_a_drive_brings_what_is_known_to_the_estimator_and_to_the_final_pass():
     for track in (run(drive, make_estimator("robust", drive)), smooth(drive)):
         ends = math.hypot(track.x[-1] - drive.truth.x[-1], track.y[-1] - drive.truth.y[-1])
         assert ends < 0.03
-        assert "surveyed landmarks agree" in " ".join(track.notes)
+        assert "known landmarks agree" in " ".join(track.notes)
 
 
 @pytest.mark.parametrize(

@@ -283,9 +283,11 @@ def test_the_deviation_of_a_robot_covers_drives_that_differ():
     assert as_keys({"bearings_late": Value(0.104, 0.003)})["bearings_late"] == 0.104
 
 
-def test_the_geometry_of_imported_wheels_is_kept_and_calibrated(tmp_path):
-    rows = [f"{0.1 * k:.1f},{0.1 * k},{0.12 * k}" for k in range(40)]
-    (tmp_path / "wheels.csv").write_text("t,left_wheel_rad,right_wheel_rad\n" + "\n".join(rows))
+@pytest.mark.parametrize("gyro", [False, True])
+def test_the_geometry_of_imported_wheels_is_kept_and_calibrated(tmp_path, gyro):
+    rows = [f"{0.1 * k:.1f},{0.1 * k},{0.12 * k}{',0.02' * gyro}" for k in range(40)]
+    names = "t,left_wheel_rad,right_wheel_rad" + ",gyro_z" * gyro
+    (tmp_path / "wheels.csv").write_text("\n".join([names, *rows]))
     seen = "t,landmark,bearing\n" + "".join(f"{0.1 * k:.1f},a,0.1\n" for k in range(40))
     (tmp_path / "bearings.csv").write_text(seen)
     (tmp_path / "home.csv").write_text("landmark,bearing\na,0.1\n")
@@ -294,9 +296,12 @@ def test_the_geometry_of_imported_wheels_is_kept_and_calibrated(tmp_path):
     drawn = "--picture", tmp_path / "import.png"
     done(call("import", *files, "--wheels", wheels, "--out", tmp_path / "drive", *drawn))
     settings = open_drive(tmp_path / "drive").settings
-    assert settings.wheels == Wheels(wheel_radius=0.05, track_width=0.4)
+    assert settings.wheels == Wheels(wheel_radius=0.05, track_width=None if gyro else 0.4)
     odometry = OdometryNoise(speed_scale=0.95, turn_scale=0.9, speed_scale_sigma=0.019)
     words = for_other_tools(RobotSettings(wheels=settings.wheels, odometry=odometry))
     assert words["wheel_radius"] == "0.0475 +- 0.00095 m"
+    if gyro:  # its scale is no width
+        assert words.keys() == {"wheel_radius"}
+        return
     assert words["track_width"].startswith("0.4222")
     assert "wheel_separation_multiplier: 1.0556" in words["diff_drive_controller"]

@@ -55,11 +55,15 @@ _AMBIGUOUS = ("mil", "mils", "turn")
 """Units with two meanings, or names of roles."""
 _NO_UNITS = ("x", "y", "z", "w")
 """Texts in square brackets that are no unit but an axis."""
+LANDMARKS = "landmark tag marker beacon landmarke marke"
+"""Names of a landmark, which a number may follow: the column then has its bearings."""
+GYRO = "gyro.z gyroz gyro gz"
+"""Names of the yaw rate of a gyroscope."""
 ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
-        "t time timestamp stamp utime clock date datetime sec secs seconds ms millis micros zeit "
-        "zeitstempel datum uhrzeit",
+        "t time timestamp stamp utime clock date datetime sec secs seconds ms millis us micros "
+        "zeit zeitstempel datum uhrzeit",
     ),
     "v": (
         "speed",
@@ -75,12 +79,12 @@ ROLES: Mapping[str, tuple[str, str]] = {
         "rate",
         "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.velocity.z "
         "angular.speed ang.vel rot.vel v.th v.theta vth vtheta "
-        "velocity.yaw omega.z omegaz w.z wz om "
-        "gyro.z gyroz gyro gz drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate",
+        "velocity.yaw omega.z omegaz w.z wz om theta.dot yaw.dot "
+        f"{GYRO} drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate",
     ),
     "landmark": (
         "name",
-        "landmark id tag marker beacon feature name label subject barcode landmarke marke "
+        f"{LANDMARKS} id feature name label subject barcode "
         "landmark.id tag.id marker.id landmark.name class",
     ),
     "bearing": (
@@ -120,7 +124,7 @@ for _role, (_, _words) in ROLES.items():
     for _word in _words.split():
         _ROLES.setdefault(tuple(_word.split(".")), []).append(_role)
 _SIZES = sorted({len(words) for words in _ROLES})
-AND = re.compile(r",(?=\s*\w+\s*=)")
+AND = re.compile(r",(?=\s*(?:[^,:=]+:)?\s*\w+\s*=)")
 """Separates the specifications of two columns; other commas belong to names."""
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 SECONDS = ("sec", "secs", "seconds")
@@ -159,6 +163,8 @@ UNUSED = {"acceleration", "accel", "acc", "covariance", "magnetic", "mag"}
 UNUSED |= {"battery", "voltage", "volts", "intensity", "temperature", "humidity", "pressure"}
 UNUSED |= {"confidence", "score", "quality", "hamming", "margin", "rssi", "reflectivity"}
 """Words in names of columns without a role."""
+PER = "per"
+"""Left out of names, as of ``m_per_s``."""
 ROTATIONAL = {"angular", "ang", "yaw", "gyro", "turn", "steering"}
 NO_PLACE = UNUSED | ROTATIONAL | {*ROTATIONS, "rvec", "rot", "linear", "velocity", "vel", "speed"}
 NO_PLACE |= {
@@ -179,6 +185,8 @@ EXCLUDED["landmark"] = UNUSED | NO_LANDMARK
 """Words in names of columns that have no such role; `UNUSED` for others."""
 _OF_PIXELS = ("pixel", "px", "image")
 """Words in names of columns of pixels."""
+TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
+"""Matches the name of a file or topic with ground-truth poses, in small letters."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
 
@@ -242,9 +250,11 @@ def specified_columns(texts: Sequence[str], there: Mapping[str, Collection[str]]
 
 def _specified(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Column]:
     """Yield the columns of one text, which may begin with a file name."""
-    file, colon, rest = whole.partition(":")
-    only = file.strip() if colon and file.strip() in there else None
-    for text in (part.strip() for part in AND.split(whole if only is None else rest)):
+    only = None
+    for text in (part.strip() for part in AND.split(whole)):
+        file, colon, rest = text.partition(":")
+        if colon and file.strip() in there:
+            only, text = file.strip(), rest
         role, equals, name = (part.strip() for part in text.partition("="))
         if not equals or not name.lstrip("-"):
             raise InputError("must have the form ROLE=COLUMN[UNIT]", part=f"--columns {text}")
@@ -297,7 +307,8 @@ def assigned(
         taken.add(likeliest[0])
     for role, one, other in ambiguous:
         raise InputError(
-            f"{one!r} and {other!r} may both be {role}", advice=f"use --columns '{role}={one}'"
+            f"{one!r} and {other!r} may both be {role}",
+            advice=f"use --columns '{role}={one}' or '{role}={other}'",
         )
     return found
 
@@ -322,7 +333,7 @@ def value_of(raw: Table, column: Column) -> np.ndarray:
     if column.role == "t" and more:
         return np.asarray(first + 1e-9 * more[0])
     if column.role == "heading" and more:
-        w, (z, x, y) = first, more
+        w, (z, x, y) = first, (more if len(more) == 3 else (more[0], 0.0, 0.0))
         return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
     if column.join == "ends":
         return np.asarray((first + more[0]) / 2)
@@ -360,12 +371,13 @@ def _combined(names: Sequence[str]) -> Iterator[Column]:
     for words, name in by_words.items():
         *stem, last = words or ("",)
         if last == "w" and stem and stem[-1] in ROTATIONS:
-            parts = [by_words.get((*stem, axis), "") for axis in "zxy"]
+            prefix = ""
         elif last == "qw":
-            parts = [by_words.get((*stem, f"q{axis}"), "") for axis in "zxy"]
+            prefix = "q"
         else:
             continue
-        if all(parts):
+        parts = [found for axis in "zxy" if (found := by_words.get((*stem, prefix + axis)))]
+        if len(parts) == 3 or parts == [by_words.get((*stem, f"{prefix}z"))]:  # z alone: level
             yield Column("heading", name, "rad", more=tuple(parts))
             break
 
@@ -380,13 +392,13 @@ def is_unit(text: str) -> bool:
 def words_in(name: str) -> tuple[str, ...]:
     """Return the words and numbers of a column's name in lower case, without a unit in brackets."""
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", re.sub(r"[\[(<].*", "", name))
-    return tuple(re.findall(r"[^\W\d_]+|\d+", plain.lower()))
+    return tuple(word for word in re.findall(r"[^\W\d_]+|\d+", plain.lower()) if word != PER)
 
 
 def unit_in(name: str, quantity: str) -> str | None:
     """Return the unit in the name of a column, as in ``speed [mm/s]`` or ``yaw_deg``."""
     bracketed = _BRACKETED.search(name)
-    parts = re.split(r"[_\s.]+", name.strip())
+    parts = [part for part in re.split(r"[_\s.]+", name.strip()) if part != PER]
     for text in [bracketed[2]] if bracketed else ("/".join(parts[-2:]), parts[-1]):
         if (unit := _unit(text)) in UNITS[quantity]:
             return unit

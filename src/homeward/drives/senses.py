@@ -59,6 +59,9 @@ MAX_MISFIT = 0.4
 """Maximum median deviation from the decided slope, as a share of that from the required one."""
 MIN_ROTATION = 3.0
 """Minimum rotation of an interval, as a multiple of its noise."""
+MIN_SPEED, MIN_AHEAD = 0.05, 0.7
+"""Speed from which the odometry has a direction of motion [m/s]; minimum length of the mean of
+exp(2i direction) over the path of a robot that drives ahead and back."""
 USUAL_RATE = 0.3, 0.9
 """Median of robots' usual yaw rates while they turn [rad/s], and deviation of its logarithm."""
 
@@ -110,6 +113,11 @@ REMEDIES = {
     Sense.RATE_TOO_SMALL_REVERSED: (_SMALL, f"{_BOTH}, and change a sign"),
 }
 """The fault and its remedy for each sense."""
+FIXED_SPEEDS = (
+    "the odometry's speeds are along the axes of a fixed frame, not of the robot",
+    "rotate them by minus the heading, give speeds ahead and to the left, or give poses instead",
+)
+"""The fault and its remedy for speeds that do not turn with the robot."""
 SHOWS = "intervals of rotation show that "
 OVERRIDE = "check_senses: false in drive.yaml (of a log: under drive: in its topics file)"
 
@@ -305,6 +313,24 @@ class _Votes:
         return best if is_unit else Sense.FIXED_FRAME
 
 
+def num_fixed_speeds(odometry: Odometry) -> int:
+    """Return the number of intervals that show speeds along fixed axes; 0 for those of a robot.
+
+    The direction of a robot that drives ahead then turns with the odometry, and is constant after
+    that rotation is removed.
+    """
+    speed = odometry.v + 1j * odometry.vy
+    moves = np.abs(speed) > MIN_SPEED
+    if not (odometry.strafes and moves.any()):
+        return 0
+    t, speed = odometry.t[moves], speed[moves]
+    ahead = speed * np.exp(-1j * dead_reckoning_unwrapped(odometry, t).heading)
+    if np.abs((ahead**2 / np.abs(ahead)).sum()) < MIN_AHEAD * np.abs(ahead).sum():
+        return 0
+    found = compare_senses(odometry, t, np.full(t.size, "motion"), np.angle(speed))
+    return found.intervals if found.sense is Sense.REVERSED else 0
+
+
 def senses_of(drive: Drive) -> SenseTest:
     """Return the test of the senses of a drive."""
     s = drive.sightings
@@ -314,14 +340,18 @@ def senses_of(drive: Drive) -> SenseTest:
 def with_sense_remark(drive: Drive) -> Drive:
     """Return a drive with a remark if its bearings do not fit the rotation of its odometry."""
     found = senses_of(drive) if drive.settings.check_senses else UNDECIDED
-    if not found.is_fault or found.sense is None:
+    fault = REMEDIES.get(found.sense) if found.sense else None
+    number = num_fixed_speeds(drive.odometry) if drive.settings.check_senses else 0
+    if number:
+        fault = FIXED_SPEEDS
+    if fault is None:
         return drive
-    remark = {SHOWS + "; ".join(REMEDIES[found.sense]): found.intervals}
+    remark = {SHOWS + "; ".join(fault): number or found.intervals}
     return dataclasses.replace(drive, remarks={**drive.remarks, **remark})
 
 
 def require_senses(drive: Drive) -> None:
     """Raise InputError for a drive with which no pose is possible, by its remark."""
-    for fault, remedy in REMEDIES.values():
+    for fault, remedy in (*REMEDIES.values(), FIXED_SPEEDS):
         if f"{SHOWS}{fault}; {remedy}" in drive.remarks:
             raise InputError(fault, advice=f"{remedy}, or set {OVERRIDE} to run it all the same")

@@ -193,6 +193,11 @@ class Wheels(Strict):
         keys.append("omni_radius" if omni else "wheelbase" if steers else "track_width")
         return [key for key in keys if getattr(self, key) is None]
 
+    @property
+    def without_turns(self) -> Wheels:
+        """The geometry of which the speed alone is computed, where a gyroscope gives yaw rates."""
+        return self.model_copy(update=dict.fromkeys(("track_width", "wheelbase", "omni_radius")))
+
     def turn(self, unit: str) -> float | None:
         """Return one turn of a wheel in a unit, as `missing`; None without a radius."""
         turns = {"ticks": self.ticks_per_turn, "rad": math.tau}

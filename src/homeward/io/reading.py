@@ -55,16 +55,16 @@ def shipped_yaml(folder: str) -> dict[str, Path]:
     return {file.stem: file for file in sorted(shipped(folder).glob("*.yaml"))}
 
 
-def shipped_or_file(source: str, kind: str, names: Iterable[str] | None = None) -> Path:
+def shipped_or_file(source: str, kind: str, names: Iterable[str] = ()) -> Path:
     """Return the path of a YAML file: one of `shipped_yaml(kind)` by name, or the user's.
 
     Callers that resolve names themselves pass them as `names`, for the message of the `InputError`.
     """
-    files = shipped_yaml(kind) if names is None else {}
+    files = shipped_yaml(kind)
     path = files.get(source, Path(source))
     if not source or not is_there(path):
-        known = ", ".join(names or files)
-        raise InputError(f"neither a file nor one of the {kind}: {known}", path)
+        known = ", ".join((*names, *files))
+        raise InputError(f"neither a file nor one of the {kind}: {known}", path if source else None)
     return path
 
 

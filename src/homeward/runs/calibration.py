@@ -309,7 +309,8 @@ def for_other_tools(robot: RobotSettings) -> dict[str, str]:
     odometry, camera, wheels = robot.odometry, robot.sensor, robot.wheels or Wheels()
     found = {}
     speed, turn = odometry.speed_scale, odometry.turn_scale
-    if speed is not None and turn is not None:
+    of_gyro = wheels != Wheels() and wheels.without_turns == wheels
+    if speed is not None and turn is not None and not of_gyro:
         found["diff_drive_controller"] = (
             f"wheel_separation_multiplier: {speed / turn:.4f}, "
             f"left_wheel_radius_multiplier: {speed:.4f}, right_wheel_radius_multiplier: {speed:.4f}"

@@ -41,6 +41,24 @@ def test_truth_is_turned_into_the_home_frame(made):
     assert drive.truth.heading == pytest.approx([0.0] * 3, abs=1e-12)
 
 
+@pytest.mark.parametrize("topic", ["/ground_truth/pose", "/vicon/robot/odom"])
+def test_a_pose_topic_named_as_ground_truth_is_used_for_scoring_and_not_as_odometry(made, topic):
+    def fill(log):
+        for t in stamps(10):
+            placed = pose(log, 2.0, 3.0, 0.5)
+            if topic.endswith("odom"):
+                message = odometry(log, t, 0.9, 0.9, 2.0, 3.0, 0.5)
+            else:
+                kind = "geometry_msgs/msg/PoseStamped"
+                message = log.make(kind, header=log.header(t, "world"), pose=placed)
+            log.write(topic, t, message)
+
+    drive = made(fill)
+    assert drive.odometry.v == pytest.approx([0.2] * 10)
+    assert drive.truth.x == pytest.approx([2.0] * 10)
+    assert made(fill, "truth: {topic: /odom}\n").truth.x == pytest.approx([0.0] * 10)
+
+
 def test_receive_times_when_asked(made):
     def fill(log):
         for t in stamps(10):

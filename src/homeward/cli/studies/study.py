@@ -28,7 +28,7 @@ def study(
             help="A YAML file, or an included study: paper, layouts (the paper's cases), peers, "
             "a-ekf-tuning, pi-ekf-tuning."
         ),
-    ],
+    ] = "",
     out: Annotated[
         Path | None, typer.Option(help="The folder to write [out/NAME OF THE STUDY].")
     ] = None,
@@ -67,6 +67,7 @@ def study(
     both RMSE tables next to the printed ones. `layouts` runs Cases 1, 2 and 4 over thousands of
     layouts, under many interpretations of the paper, and writes layouts.html with the result.
     """
+    from homeward.io.reading import shipped_or_file
     from homeward.io.settings import nested
     from homeward.io.writing import check_output
     from homeward.lab.report.study.page import DATA, PAGE, headline, write_study
@@ -76,6 +77,8 @@ def study(
     from homeward.lab.studies.study.results import run_study
     from homeward.lab.studies.study.summary import failures, lines
 
+    if study not in PAPER:
+        shipped_or_file(study, "studies", PAPER)
     where = Where(scheduler, workers)
     changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
     folder = out or Path("out") / Path(study).stem

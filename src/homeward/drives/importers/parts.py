@@ -37,6 +37,10 @@ UNIX_S = (1e9, 4.1e9)
 """Range of Unix time, from 2001 to 2099 [s]."""
 INCOMPLETE = "incomplete rows of {}, left out"
 UNSEEN = "landmarks out of view (0 or -1), or without a ray in the camera model"
+AFTER = "sigma", "vy"
+"""Roles that without a unit have that of another column, which is read before."""
+MIN_COMMON = 3
+"""Minimum number of landmarks that home and the drive have in common for a pose."""
 MAX_POSES = 2000
 """Maximum number of poses that are compared; steps between fewer poses have less noise."""
 MIN_FIT = 0.7
@@ -130,8 +134,8 @@ class Part:
         `clock` is that of the odometry, `angle` the unit of bearings where the file specifies none.
         """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
-        # Sigmas last: without a unit they have that of their bearings.
-        self.columns = dict(sorted(self.columns.items(), key=lambda item: item[0] == "sigma"))
+        # Last those that without a unit have that of their bearings or of the forward speed.
+        self.columns = dict(sorted(self.columns.items(), key=lambda item: item[0] in AFTER))
         values, units = dict(table.columns), dict[str, tuple[str, str]]()
         for role, column in self.columns.items():
             units[role] = "", "unchanged"
@@ -265,6 +269,13 @@ def _unit(
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:
+        if angle != "rad" and values.size >= MIN_COMMON and largest < 1.01 * math.pi:
+            raise InputError(
+                f"{column.name!r} reaches only {largest:.3g}, but other bearings are in {angle}",
+                table.file,
+                advice=f"give its unit, as in --columns '{column.role}={column.name}[rad]' or "
+                f"[{angle}]",
+            )
         return angle, "as bearings"
     if column.si == "m/s" and largest > MAX_SPEED:
         raise InputError(

@@ -32,7 +32,13 @@ from homeward.drives.folder import (
 from homeward.drives.home.when import with_home
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
-from homeward.drives.importers.parts import UNIX_S, ImportedColumn, OdometryStamps, Part
+from homeward.drives.importers.parts import (
+    MIN_COMMON,
+    UNIX_S,
+    ImportedColumn,
+    OdometryStamps,
+    Part,
+)
 from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import (
@@ -129,8 +135,6 @@ OTHER_SOURCES = {
 AVERAGED = "rows of home bearings, averaged for each landmark"
 MAX_HOME_SPREAD = 0.1
 """Maximum deviation from their mean of the home bearings of a landmark [rad]."""
-MIN_COMMON = 3
-"""Minimum number of landmarks that home and the drive have in common for a pose."""
 MAX_DRIFT = 0.003
 """Maximum deviation of poses from dead reckoning that are no ground truth, over its length [1]."""
 EQUAL_POSES = (
@@ -270,8 +274,9 @@ def drive_of(
     remarks = {reason: n for one in found for reason, n in one.remarks.items()}
     odometry = _odometry(found, tables, wheels, remarks)
     given: dict[str, Any] = {"epoch": epoch} if epoch else {}
-    if wheels not in (None, Wheels()) and "gyro" not in tables:
-        given["wheels"] = wheels
+    if wheels not in (None, Wheels()):
+        turned_by_gyro = "gyro" in tables or "omega" in tables["odometry"].columns
+        given["wheels"] = wheels.without_turns if turned_by_gyro else wheels
     if REMARK in remarks:
         given["signs_changed"] = remarks[REMARK]
     drive = Drive(

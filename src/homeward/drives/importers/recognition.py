@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeAlias
@@ -13,6 +12,7 @@ from homeward.drives.columns import (
     KINDS,
     ODOMETRY,
     OPTIONAL,
+    TRUE_PATH,
     Column,
     assigned,
     matches,
@@ -68,8 +68,6 @@ WITHOUT_IDS: Mapping[tuple[str, ...], Mapping[str, str]] = {
 """Roles that a table lacks, and those that its columns have if its landmarks have no ids."""
 MAX_SHOWN = 12
 """Maximum number of columns in an error message."""
-TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
-"""Matches the name of a file with ground-truth poses."""
 AS_TRUTH = (
     "poses of {0} used as ground truth, because there is other odometry; if they are odometry, use "
     "--as {0}=odometry"

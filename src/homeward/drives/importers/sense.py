@@ -9,7 +9,15 @@ from collections.abc import Mapping, Sequence
 from homeward.drives.drive import Drive, Odometry
 from homeward.drives.importers.parts import ImportedColumn
 from homeward.drives.importers.pixels import PIXEL_ROLES
-from homeward.drives.senses import UNDECIDED, Sense, SenseTest, compare_senses, senses_of
+from homeward.drives.senses import (
+    FIXED_SPEEDS,
+    UNDECIDED,
+    Sense,
+    SenseTest,
+    compare_senses,
+    num_fixed_speeds,
+    senses_of,
+)
 from homeward.drives.wheels import ROLES as WHEELS
 from homeward.errors import InputError
 
@@ -72,6 +80,11 @@ def require_imported_senses(drive: Drive, found: Sequence[ImportedColumn]) -> Se
 
     Specified bearings are not tested.
     """
+    is_specified = any(one.column.role == "vy" and one.column.is_specified for one in found)
+    if not is_specified and num_fixed_speeds(drive.odometry):
+        fault, remedy = FIXED_SPEEDS
+        advice = f"{remedy}, or use --columns 'vy=COLUMN' to import them all the same"
+        raise InputError(fault, advice=advice)
     seen = [one for one in found if one.kind == "bearings"]
     decided = UNDECIDED if is_fixed(seen) else senses_of(drive)
     if not decided.is_fault:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from homeward.drives.columns import ROLES, has_role, matches, unit_in, words_in
+from homeward.drives.columns import LANDMARKS, ROLES, has_role, matches, unit_in, words_in
 from homeward.errors import InputError
 from homeward.io.table import Table
 
@@ -16,7 +16,7 @@ MIN_JUMPS, JUMP_QUANTILE = 20, 0.9
 exceed this quantile of the other changes."""
 MIN_NUMBERED = 3
 """Number of columns that may be those of landmarks, of which a pose needs as many."""
-LANDMARK = re.compile(r"(landmark|tag|marker|beacon|marke|landmarke)[\s_.-]*\d+")
+LANDMARK = re.compile(rf"({LANDMARKS.replace(' ', '|')})[\s_.-]*\d+")
 BEARING_WORDS = frozenset(f"{word}{s}" for word in ROLES["bearing"][1].split() for s in ("", "s"))
 
 

@@ -189,7 +189,7 @@ class IntegrityMonitor:
         if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > limit**2:
             return Status.UNVERIFIED, "the landmarks in view do not determine the pose; drive on"
         if surveyed:
-            words = f"{surveyed} surveyed landmarks and {agreeing - surveyed} home bearings agree"
+            words = f"{surveyed} known landmarks and {agreeing - surveyed} home bearings agree"
             return Status.LOCALISED, words
         return Status.LOCALISED, f"{agreeing} home bearings agree"
 

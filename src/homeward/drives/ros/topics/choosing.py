@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Container
 
-from homeward.drives.ros.kinds import BEARINGS, OUR_HOME, OUR_TRUTH, POSE
+from homeward.drives.columns import TRUE_PATH
+from homeward.drives.ros.kinds import BEARINGS, OUR_HOME
 from homeward.drives.ros.measurements.extrinsics import TF_STATIC
 from homeward.drives.ros.presets import (
     ACKERMANN,
@@ -115,10 +116,11 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
     /tf that look like tags. `InputError` where a named topic is missing or has an unsuitable type,
     where several topics are equally suitable and none is named, or where there are no images.
     """
+    true = [t.name for t in survey.topics if t.count and TRUE_PATH.search(t.name.lower())]
     odometry = given.odometry or next(
         (
             OdometryTopic(topic=t.name)
-            for t in _of_best_type(survey, "odometry", (*TWISTS, MODULE_STATES))
+            for t in _of_best_type(survey, "odometry", (*TWISTS, MODULE_STATES), true)
         ),
         None,
     )
@@ -137,7 +139,9 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
         bearings = (_with_frames(survey, BearingsTopic(topic=survey.tag_frames[0].topic)),)
     if not (bearings or pictures) and (found := only_candidate(survey, BearingsTopic)):
         bearings = (found,)
-    truth = given.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
+    used = {t.topic for t in (odometry, *given.bearings) if t is not None}
+    poses = [n for n in true if n not in used and survey.topic(n).type in POSES]
+    truth = given.truth or (TruthTopic(topic=poses[0]) if len(poses) == 1 else None)
     bearings = tuple(
         _usable(survey, topic) for given in bearings for topic in _matching(survey, given)
     )

@@ -171,7 +171,7 @@ class Survey:
         for pair in self.contradicting:
             if not in_view.isdisjoint(pair):
                 a, b = map(quoted, pair)
-                return f"surveyed landmarks {a} and {b} contradict each other; drive on"
+                return f"known landmarks {a} and {b} contradict each other; drive on"
         return None
 
     def notes(self, state: Marginal) -> tuple[str, ...]:
@@ -183,8 +183,8 @@ class Survey:
             exchanged = self.exchanged
             wrong = (n for n, p in self.wrong.items() if p > 0.5 and n not in exchanged)
             off = ", ".join(quoted(n) for n in wrong)
-            words.append(f"{len(self.used)} of {len(self.places)} surveyed landmarks agree")
-            words[-1] += f"; not at the surveyed position: {off}" if off else ""
+            words.append(f"{len(self.used)} of {len(self.places)} known landmarks agree")
+            words[-1] += f"; not at the known position: {off}" if off else ""
             is_place = self.known.is_place
             correct = off and not is_place
             words[-1] += ". Correct or remove them in landmarks.yaml." if correct else "."
