@@ -226,6 +226,8 @@ class Smoother:
                 if whole.converged:
                     break
             if whole.converged:
+                closed = Closed.joined(self._closed)._replace(poses=whole.poses[:before].copy())
+                self._closed = [closed]
                 whole.marginalise(before)
                 self._poses, self._prior, self.passive = whole._poses, whole._prior, whole.passive
                 self.ids, self.p_static, self.state = whole.ids, whole.p_static, whole.state
