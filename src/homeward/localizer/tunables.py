@@ -321,6 +321,8 @@ one with the landmarks of a room, fewer keyframes in a hall."""
 LONG_DRIVE = 4000
 """Keyframes up to which all are solved again where the map has turned: half an hour of two a
 second, which takes about a second."""
+LONG_IN_A_ROOM = 500
+"""The same where no landmarks have left the view: the window has all of the map."""
 MIN_IDLE = 16
 """Landmarks out of view that are made passive at a time: with fewer, solutions take no longer."""
 COMMON_DIRECTIONS = 96
@@ -481,6 +483,8 @@ RESECTION_FRAMES = 30
 # Smoothing of a whole drive
 NUM_WHOLE_SOLVES = 6
 """Solutions of the whole drive, each by several Gauss-Newton steps."""
+MAX_WHOLE_SOLVES = 30
+"""The same where home turns the map: in halls, three to seven were needed."""
 RETAINED_S = 30.0
 """Fixed-lag smoothing of a robot at standstill or without bearings ends this long after its newest
 keyframe: then no later bearings correct the pose [s]."""

@@ -79,10 +79,11 @@ from homeward.localizer.tunables import (
     LAG_GATE,
     LINEAR,
     LONG_DRIVE,
+    LONG_IN_A_ROOM,
+    MAX_WHOLE_SOLVES,
     MIN_CALIBRATION_SIGMA,
     MIN_CHANGE,
     MIN_IDLE,
-    NUM_WHOLE_SOLVES,
     STALE_S,
 )
 from homeward.table import GrowingTable
@@ -167,6 +168,10 @@ class Smoother:
         """... whether they are kept for ever, and whether they may be linearised again."""
         self._turned = 0.0
         """By how much the map has turned since they were linearised [rad]."""
+        self._solved_all_at = 0
+        """Newest keyframe when all keyframes were solved."""
+        self._leaves_view = False
+        """Whether landmarks have left the view, as in a hall."""
         self._drift, self._correlated = drift, correlated
         self._integrated_at = np.array([0.0, mean])
         """Delay and time constant [s] of the motions in the window."""
@@ -206,22 +211,41 @@ class Smoother:
         whole._prior = Prior(information)
         return whole
 
+    def use_home(self, found: HomeFactors | None) -> bool:
+        """Use home factors in each solution from now on; return whether all keyframes are solved.
+
+        They turn the map, so the first ones are used from a solution of all keyframes on.
+        """
+        if found is None or self.at_home is not None:
+            self.at_home = found
+            return False
+        self.at_home = found
+        if not self._solve_all():
+            self.at_home = None
+        return self.at_home is not None
+
     def linearise_again(self) -> None:
         """Solve for all keyframes and marginalise again, if the map has turned since.
 
-        The error of a prior that has turned by d is d^2 / 2 of all distances. Not after a change of
-        the calibration, nor on a drive too long to be solved between two frames; and nothing
-        changes if the solution does not converge.
+        The error of a prior that has turned by d is d^2 / 2 of all distances.
         """
         turned = self._turned + float(self.poses[0, 2] - self._prior.at[2])
-        is_right = turned**2 <= LINEAR * math.sqrt(self.state.covariance[2, 2])
-        if is_right or not self._can_repeat:
-            return
+        if turned**2 > LINEAR * math.sqrt(self.state.covariance[2, 2]):
+            self._solve_all()
+
+    def _solve_all(self) -> bool:
+        """Solve for all keyframes, and marginalise those before the window again.
+
+        Not after a change of the calibration, nor on a drive too long to be solved between two
+        frames, nor twice in a window. Nothing changes if the solution does not converge.
+        """
+        if not self._can_repeat or self._solved_all_at > self.first:
+            return False
         whole = self.whole()
         before = len(whole.poses) - len(self.poses)
-        self._turned = 0.0
+        self._solved_all_at, self._turned = self.newest, 0.0
         with suppress(np.linalg.LinAlgError):
-            for _ in range(NUM_WHOLE_SOLVES):
+            for _ in range(MAX_WHOLE_SOLVES):
                 whole.solve()
                 if whole.converged:
                     break
@@ -232,6 +256,8 @@ class Smoother:
                 self._poses, self._prior, self.passive = whole._poses, whole._prior, whole.passive
                 self.ids, self.p_static, self.state = whole.ids, whole.p_static, whole.state
                 self._bounded, self._known_by_home = whole._bounded, whole._known_by_home
+                return True
+        return False
 
     @property
     def all_landmarks(self) -> AllLandmarks:
@@ -468,6 +494,7 @@ class Smoother:
         idle = self.ids[~np.isin(self.ids, kept)]
         if idle.size < MIN_IDLE:
             return
+        self._leaves_view = True
         index = self.index(idle)
         at, p_static = self.state.positions[index].ravel(), self.p_static[index]
         self.passive.add(idle, p_static, at, *self._take_out(idle))
@@ -573,7 +600,8 @@ class Smoother:
         frames = self.frames.take_before(first)
         chain = self.poses[:count].copy(), self.stamps[:count]
         self._closed.append(Closed(*chain, rows, frames, self._steps.rows[:count].copy()))
-        self._can_repeat &= not changes and first < LONG_DRIVE
+        longest = LONG_DRIVE if self._leaves_view else LONG_IN_A_ROOM
+        self._can_repeat &= not changes and first < longest
         if not (self._can_repeat or self._keeps_all):
             self._closed = []
         self.first = first
