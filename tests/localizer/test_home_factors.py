@@ -79,14 +79,37 @@ def test_too_few_of_them_are_not_used():
     assert known.among(IDS[:4]).ids.tolist() == IDS[:4].tolist()
 
 
-def after_a_minute():
-    """Return the smoother of a robot among 20 landmarks, with marginalised keyframes."""
-    drive, settings = make_drive(20, 60.0), LocalizerSettings(window=20, longest_window=40)
+def after_a_minute(longest_window=40):
+    """Return the smoother of a robot among 20 landmarks after a minute."""
+    drive = make_drive(20, 60.0)
+    settings = LocalizerSettings(window=20, longest_window=longest_window)
     localizer = Localizer(drive.home, settings=settings, **drive.settings.robot)
     run(drive, localizer)
-    smoother = localizer.chart.map.smoother
-    assert smoother.first > 0
-    return smoother
+    return localizer.chart.map.smoother
+
+
+def of_the_map(smoother):
+    """Return home factors that agree with a map."""
+    ids, places = smoother.ids[:6], smoother.state.positions[:6]
+    bearings = sight(np.tile(CAMERA, (6, 1)), places).bearing
+    return HomeFactors(ids, bearings, np.full(6, 0.02), CAMERA, np.zeros((6, 3)))
+
+
+@pytest.mark.parametrize("longest_window", [40, 1000])
+def test_home_is_used_whether_keyframes_are_marginalised_or_not(longest_window):
+    smoother = after_a_minute(longest_window)
+    before = smoother.state
+    is_marginalised = longest_window == 40
+    assert (smoother.first > 0) == is_marginalised
+    assert smoother.use_home(of_the_map(smoother)) == is_marginalised
+    smoother.solve()
+    variances = smoother.state.covariance.diagonal(), before.covariance.diagonal()
+    assert variances[0][HEAD:].sum() < variances[1][HEAD:].sum()
+    without = smoother.without_home(smoother.state)
+    sigmas = np.sqrt(variances[1])
+    assert np.sqrt(without.covariance.diagonal()) == pytest.approx(sigmas, rel=0.1)
+    assert not smoother.use_home(None)
+    assert smoother.at_home is None
 
 
 def test_a_map_that_is_linearised_again_stays_where_little_has_changed():

@@ -216,10 +216,10 @@ class Smoother:
 
         They turn the map, so the first ones are used from a solution of all keyframes on.
         """
-        if found is None or self.at_home is not None:
-            self.at_home = found
-            return False
+        is_solved_by_window = found is None or self.at_home is not None or not self.first
         self.at_home = found
+        if is_solved_by_window:
+            return False
         if not self._solve_all():
             self.at_home = None
         return self.at_home is not None
@@ -239,7 +239,7 @@ class Smoother:
         Not after a change of the calibration, nor on a drive too long to be solved between two
         frames, nor twice in a window. Nothing changes if the solution does not converge.
         """
-        if not self._can_repeat or self._solved_all_at > self.first:
+        if not (self.first and self._can_repeat) or self._solved_all_at > self.first:
             return False
         whole = self.whole()
         before = len(whole.poses) - len(self.poses)
