@@ -39,7 +39,7 @@ def test_their_jacobian_is_the_derivative_of_the_residuals():
         )
 
 
-def test_a_home_that_moves_and_turns_the_whole_map_says_nothing():
+def test_home_bearings_do_not_depend_on_a_shift_turn_or_scale_of_the_map():
     jacobian, _ = factors(0.0).linear(PLACES)
     shift = np.tile(np.eye(2), (6, 1))
     turn = (PLACES @ np.array([[0.0, 1.0], [-1.0, 0.0]])).ravel()

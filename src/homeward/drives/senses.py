@@ -339,14 +339,16 @@ def senses_of(drive: Drive) -> SenseTest:
 
 def with_sense_remark(drive: Drive) -> Drive:
     """Return a drive with a remark if its bearings do not fit the rotation of its odometry."""
-    found = senses_of(drive) if drive.settings.check_senses else UNDECIDED
-    fault = REMEDIES.get(found.sense) if found.sense else None
-    number = num_fixed_speeds(drive.odometry) if drive.settings.check_senses else 0
-    if number:
-        fault = FIXED_SPEEDS
-    if fault is None:
+    if not drive.settings.check_senses:
         return drive
-    remark = {SHOWS + "; ".join(fault): number or found.intervals}
+    if number := num_fixed_speeds(drive.odometry):
+        fault = FIXED_SPEEDS
+    else:
+        found = senses_of(drive)
+        if not found.is_fault or found.sense is None:
+            return drive
+        fault, number = REMEDIES[found.sense], found.intervals
+    remark = {SHOWS + "; ".join(fault): number}
     return dataclasses.replace(drive, remarks={**drive.remarks, **remark})
 
 

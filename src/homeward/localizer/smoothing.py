@@ -343,9 +343,9 @@ def _row(track: Track, i: int) -> Estimate:
 
 def _at_pose(chart: Chart, state: Marginal) -> Hypotheses | None:
     """Return the hypotheses with the pose of a keyframe; None if they do not determine it."""
-    found = chart.home.hypotheses
-    problem = chart.home.problem(chart.map, chart.map.smoother, state)
-    return None if found is None else with_pose(problem, found)
+    if (found := chart.home.hypotheses) is None:
+        return None
+    return with_pose(chart.home.problem(chart.map, chart.map.smoother, state), found)
 
 
 def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -319,10 +319,10 @@ LONG_WINDOW = 7500
 """Keyframes times landmarks from which a window that waits for parallax is too long: the longest
 one with the landmarks of a room, fewer keyframes in a hall."""
 LONG_DRIVE = 4000
-"""Keyframes up to which all are solved again where the map has turned: half an hour of two a
-second, which takes about a second."""
+"""Largest number of keyframes that are all solved again where the map has turned: half an hour with
+two a second; the solution takes about a second."""
 LONG_IN_A_ROOM = 500
-"""The same where no landmarks have left the view: the window has all of the map."""
+"""The same where no landmark has left the view: the whole map is in the window."""
 MIN_IDLE = 16
 """Landmarks out of view that are made passive at a time: with fewer, solutions take no longer."""
 COMMON_DIRECTIONS = 96

@@ -38,7 +38,7 @@ UNIX_S = (1e9, 4.1e9)
 INCOMPLETE = "incomplete rows of {}, left out"
 UNSEEN = "landmarks out of view (0 or -1), or without a ray in the camera model"
 AFTER = "sigma", "vy"
-"""Roles that without a unit have that of another column, which is read before."""
+"""Roles whose unit, where none is given, is that of another column, which is read first."""
 MIN_COMMON = 3
 """Minimum number of landmarks that home and the drive have in common for a pose."""
 MAX_POSES = 2000
@@ -134,7 +134,7 @@ class Part:
         `clock` is that of the odometry, `angle` the unit of bearings where the file specifies none.
         """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
-        # Last those that without a unit have that of their bearings or of the forward speed.
+        # A sigma has the unit of its bearing, and a sideways speed that of the forward speed.
         self.columns = dict(sorted(self.columns.items(), key=lambda item: item[0] in AFTER))
         values, units = dict(table.columns), dict[str, tuple[str, str]]()
         for role, column in self.columns.items():

@@ -124,9 +124,8 @@ class HomeTracker:
             if self.hypotheses is not None and self._number_of_seeds(self.hypotheses) > MAX_SEEDS:
                 self._seeds.extend(seeds(problem, MAX_SEEDS_IN_DOUBT)[MAX_SEEDS:])
         if known.evaluated and known.smoother.use_home(self._factors(known)) and self.hypotheses:
-            self.hypotheses = self._follow(
-                self.problem(known, known.smoother), self.hypotheses, known
-            )
+            problem = self.problem(known, known.smoother)
+            self.hypotheses = self._follow(problem, self.hypotheses, known)
 
     def _factors(self, known: Map) -> HomeFactors | None:
         """Return the inlier home bearings, if they move a part of the map beyond linear bearings.

@@ -169,11 +169,8 @@ class Map:
         known = self.landmarks
         landmarks = [known.former.get(n) or known.mapped[n] for n in names]
         walk_moment = np.array([m.walk_moment for m in landmarks]).reshape(-1, 2, 2)
-        return (
-            smoother.index(numbers(landmarks)),
-            known.walking_probabilities(landmarks),
-            walk_moment,
-        )
+        index = smoother.index(numbers(landmarks))
+        return index, known.walking_probabilities(landmarks), walk_moment
 
     @property
     def is_window_full(self) -> bool:

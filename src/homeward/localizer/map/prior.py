@@ -1,4 +1,4 @@
-"""Marginalisation prior of the window, and the keyframes that it is of."""
+"""Marginalisation prior of the window, and the marginalised keyframes."""
 
 from __future__ import annotations
 

@@ -619,9 +619,9 @@ class Smoother:
         Its landmarks are those of `ids` (n,), by default the active ones.
         """
         known = self._known_by_home
-        return (
-            state if known is None else known.removed_from(state, self.ids if ids is None else ids)
-        )
+        if known is None:
+            return state
+        return known.removed_from(state, self.ids if ids is None else ids)
 
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""
