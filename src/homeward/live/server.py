@@ -121,6 +121,7 @@ class Server:
     _clients: set[_Client] = field(default_factory=set)
     _guess: asyncio.Lock = field(default_factory=asyncio.Lock)
     _writing: threading.Lock = field(default_factory=threading.Lock)
+    _unwritten: set[asyncio.Future[None]] = field(default_factory=set)
     _done: bool = False
     _failure: BaseException | None = None
     _loop: asyncio.AbstractEventLoop = field(init=False)
@@ -182,6 +183,8 @@ class Server:
                 ticking.cancel()
                 for client in list(self._clients):
                     client.close()
+                if self._unwritten:
+                    await asyncio.wait(self._unwritten)
         if failure is not None:
             raise failure
 
@@ -228,7 +231,9 @@ class Server:
     def _receive(self, message: Input, client: _Client) -> None:
         self.session.receive(message, time.monotonic(), client)
         if isinstance(message, EStop) and self.stop_file is not None:
-            self._loop.run_in_executor(None, self._keep_stop, self.stop_file)
+            kept = self._loop.run_in_executor(None, self._keep_stop, self.stop_file)
+            self._unwritten.add(kept)
+            kept.add_done_callback(self._unwritten.discard)
 
     def _keep_stop(self, file: Path) -> None:
         """Write or delete the file of the emergency stop, not on the loop's thread."""
