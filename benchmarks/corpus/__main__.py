@@ -24,6 +24,7 @@ import numpy as np
 
 from homeward.drives import opening
 from homeward.drives.importers import reading
+from homeward.drives.importers.parts import Imported
 from homeward.errors import InputError, printable
 
 ROOT = Path(__file__).parents[2]
@@ -52,9 +53,9 @@ def value_digest(columns: list[np.ndarray]) -> list[float | int]:
     return [len(columns[0]), float(f"{total:.11g}")]
 
 
-def of_columns(found: list[reading.ImportedColumn]) -> Record:
+def of_columns(found: dict[str, Imported]) -> Record:
     """Return the digest of a decision table."""
-    rows = [(u.kind, u.column.signed_name, u.column.role, u.unit, u.source) for u in found]
+    rows = [row[1:6] for one in found.values() for row in one.rows()]
     return {"columns": len(rows), "table": text_digest([" ".join(row) for row in rows])}
 
 

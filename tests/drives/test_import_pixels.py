@@ -52,8 +52,8 @@ def write(folder, columns, name="tags.csv"):
 
 def bearings(paths, *columns, **cameras):
     found = understand(paths, columns, **cameras)
-    how = next(c for c in found if c.kind == "bearings" and c.column.role == "bearing")
-    return drive_of(found, "tags").sightings, f"{how.column.name}; {how.source}"
+    how = found["bearings"].columns["bearing"]
+    return drive_of(found, "tags").sightings, f"{how.name}; {how.source}"
 
 
 def points(u, v):

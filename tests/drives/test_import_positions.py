@@ -54,8 +54,8 @@ def files(folder, tags):
 
 def bearings(paths, *columns):
     found = understand(paths, columns)
-    how = next(c for c in found if c.kind == "bearings" and c.column.role == "bearing")
-    return drive_of(found, "tags").sightings, f"{how.column.signed_name}; {how.source}"
+    how = found["bearings"].columns["bearing"]
+    return drive_of(found, "tags").sightings, f"{how.signed_name}; {how.source}"
 
 
 QUATERNION = ("0.0", "0.0", "0.38268", "0.92388")
@@ -181,7 +181,7 @@ def test_positions_with_unknown_axes_are_refused(tmp_path, plain, head, row, col
 def test_poses_with_other_columns_stay_poses(tmp_path, head):
     rows = [(k, 0.1 * k, 0.0, 0.1, 1, 2)[: head.count(",") + 1] for k in range(9)]
     found = understand([write(tmp_path, "poses.csv", head, rows)])
-    assert {one.kind for one in found} == {"odometry"}
+    assert set(found) == {"odometry"}
 
 
 def test_pixels_of_the_centre_are_no_position(tmp_path, plain):
@@ -202,7 +202,7 @@ def test_pixels_of_the_centre_are_no_position(tmp_path, plain):
 def test_angles_along_with_corners_stay_bearings(tmp_path):
     head = "t,id,angle,corner_x,centre_x,corner_y"
     found = understand([write(tmp_path, "seen.csv", head, [(0, "a", 0.1, 5, 6, 7)])])
-    assert {one.kind for one in found} == {"bearings"}
+    assert set(found) == {"bearings"}
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_poses_of_a_robot_are_no_landmarks(tmp_path, name, kind):
     )
     rows = [(k, 0, "map", "robot1", 0.1 * k, 0.0, 0.0, *QUATERNION) for k in range(9)]
     found = understand([write(tmp_path, name, head, rows)])
-    assert {one.kind for one in found} == {kind}
+    assert set(found) == {kind}
 
 
 def test_positions_to_the_right_are_mirrored_and_shown(tmp_path, plain):

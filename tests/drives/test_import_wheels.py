@@ -222,7 +222,7 @@ def test_an_encoder_that_counts_backwards_is_reported(tmp_path):
 def test_boxes_in_an_image_are_no_wheels(tmp_path):
     text = "t,id,bearing,left,top,right,bottom\n0.1,A,0.5,100,120,140,160\n"
     (tmp_path / "boxes.csv").write_text(text)
-    assert {one.kind for one in understand([tmp_path / "boxes.csv"])} == {"bearings"}
+    assert set(understand([tmp_path / "boxes.csv"])) == {"bearings"}
 
 
 def test_a_gyroscope_replaces_the_yaw_rate_of_the_wheels(tmp_path):
@@ -288,8 +288,8 @@ def test_imu_messages_as_ros_prints_them_are_gyroscopes(tmp_path, tool):
             lines.append(f"{stamp},imu,0,0,0,1,{zeros},{rates}")
     (tmp_path / "imu.csv").write_text("\n".join(lines) + "\n")
     found = understand([tmp_path / "imu.csv"])
-    assert {one.kind for one in found} == {"gyro"}
-    assert found[0].table["omega"] == pytest.approx(OMEGA)
+    assert set(found) == {"gyro"}
+    assert found["gyro"].table["omega"] == pytest.approx(OMEGA)
 
 
 def test_joint_states_and_ackermann_as_ros2_topic_echo_prints_them(tmp_path):
@@ -298,13 +298,13 @@ def test_joint_states_and_ackermann_as_ros2_topic_echo_prints_them(tmp_path):
     rows = zip(stamps, columns, strict=True)
     lines = [f"{t},,left_joint,right_joint,{','.join(map(repr, r))},0.0,0.0\n" for t, r in rows]
     (tmp_path / "joints.csv").write_text("".join(lines))
-    (found, *_) = understand([tmp_path / "joints.csv"])
+    found = understand([tmp_path / "joints.csv"])["odometry"]
     assert found.table["left_wheel"] == pytest.approx(TRAVEL[0] / 0.05)
     lines = [
         f"{t},base_link,0.1,0.0,{v!r},0.0,0.0\n" for t, v in zip(stamps, V.tolist(), strict=True)
     ]
     (tmp_path / "car.csv").write_text("".join(lines))
-    (found, *_) = understand([tmp_path / "car.csv"])
+    found = understand([tmp_path / "car.csv"])["odometry"]
     assert found.table["v"] == pytest.approx(V)
     assert found.table["steering"] == pytest.approx(0.1)
 
@@ -313,9 +313,9 @@ def test_names_above_a_table_that_are_separated_by_gaps(tmp_path):
     """As in the MRCLAM data set."""
     text = "# data\n# Time [s]    forward velocity [m/s]    angular velocity[rad/s]\n"
     (tmp_path / "o.dat").write_text(text + "0.0 \t 0.1 \t 0.2 \n0.1 \t 0.1 \t 0.3 \n")
-    found = understand([tmp_path / "o.dat"])
-    assert found[0].table["omega"].tolist() == [0.2, 0.3]
-    assert {one.source for one in found} == {"named"}
+    found = understand([tmp_path / "o.dat"])["odometry"]
+    assert found.table["omega"].tolist() == [0.2, 0.3]
+    assert {column.source for column in found.columns.values()} == {"named"}
 
 
 def test_counters_with_the_clock_of_an_arduino(tmp_path):

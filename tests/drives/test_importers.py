@@ -76,10 +76,10 @@ def test_other_separators_marks_names_and_units_are_the_same_drive(tmp_path):
     assert drive.sightings.landmark.tolist() == plain.sightings.landmark[:400].tolist()
     home = {name: seen.bearing for name, seen in plain.home.items()}
     assert {n: s.bearing for n, s in drive.home.items()} == pytest.approx(home)
-    how = {(one.kind, one.column.role): one.source for one in found}
-    assert how["odometry", "v"] == "named"
-    assert how["bearings", "t"] == "as odometry"
-    assert how["bearings", "bearing"] == "guessed: more than a turn"
+    seen = found["bearings"].columns
+    assert found["odometry"].columns["v"].source == "named"
+    assert seen["t"].source == "as odometry"
+    assert seen["bearing"].source == "guessed: more than a turn"
 
 
 def test_no_header_and_a_sign_are_told(tmp_path):
@@ -87,8 +87,8 @@ def test_no_header_and_a_sign_are_told(tmp_path):
     with pytest.raises(InputError, match=r"not recognised as .* its columns are '1', '2', '3'"):
         understand(bare)
     found = understand(bare, ["t=1,v=2[m/s]", "omega=-3[deg/s]"])
-    assert [one.source for one in found] == ["specified"] * 3
-    table = found[0].table
+    assert {c.source for c in found["odometry"].columns.values()} == {"specified"}
+    table = found["odometry"].table
     assert table["omega"] == pytest.approx(np.radians([-10, -20]))
 
 
@@ -173,21 +173,23 @@ def test_odometry_as_ros2_topic_echo_prints_it(tmp_path):
 def test_a_column_may_be_told_by_its_whole_name_or_given_another_unit(tmp_path):
     file = write(tmp_path, a="Time [ms],v,w,when\n0,0.1,0,0\n1000,0.1,0,1\n")
     for text, unit in (("t=Time [ms]", "ms"), ("t=Time [ms][s]", "s"), ("t=when", "s")):
-        (found,) = (one for one in understand(file, [text]) if one.column.role == "t")
+        found = understand(file, [text])["odometry"].columns["t"]
         assert (found.unit, found.source) == (unit, "specified")
 
 
 def test_commas_may_stand_in_the_names_of_columns(tmp_path):
     file = write(tmp_path, a='when,"Speed, filtered",w\n0,0.1,0\n0.1,0.1,0\n')
     found = understand(file, ["t=when, v=Speed, filtered[m/s]"])
-    assert [one.column.name for one in found] == ["when", "Speed, filtered", "w"]
+    names = [column.name for column in found["odometry"].columns.values()]
+    assert names == ["when", "Speed, filtered", "w"]
 
 
 def test_one_option_may_name_the_columns_of_several_files(tmp_path):
     paths = write(tmp_path, o="0,0.1,0\n0.1,0.1,0\n", b="0,A,100\n0.1,A,100\n")
     roles = "o.csv: t=1, v=2, omega=3, b.csv: t=1, landmark=2, bearing=3[gon]"
-    bearing = next(one for one in understand(paths, [roles]) if one.column.role == "bearing")
-    assert bearing.table["bearing"] == pytest.approx([math.pi / 2] * 2)
+    assert understand(paths, [roles])["bearings"].table["bearing"] == pytest.approx(
+        [math.pi / 2] * 2
+    )
 
 
 def test_home_bearings_in_radians_are_not_read_in_the_degrees_of_the_drive(tmp_path):
@@ -216,9 +218,9 @@ def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
     assert drive.sightings.sigma == pytest.approx(np.radians([0.57, 0.57]))
     assert drive.home["A"].bearing == pytest.approx(math.radians(-3.5))
     assert drive.home["A"].sigma == pytest.approx(math.radians(0.57))
-    how = {(one.kind, one.column.role): (one.unit, one.source) for one in found}
-    assert how["bearings", "sigma"] == ("deg", "as bearing")
-    assert how["home", "bearing"] == ("deg", "as bearings")
+    sigma, at_home = found["bearings"].columns["sigma"], found["home"].columns["bearing"]
+    assert (sigma.unit, sigma.source) == ("deg", "as bearing")
+    assert (at_home.unit, at_home.source) == ("deg", "as bearings")
 
 
 @pytest.mark.parametrize(
@@ -256,7 +258,7 @@ def test_a_bag_as_ros_prints_it_has_unix_time_in_nanoseconds(tmp_path):
     seen = "stamp,id,bearing\n1700000000000000000,A,0.5\n"
     odom = table(head, (f"{t},1,0.1,0.2" for t in stamps))
     found = understand(write(tmp_path, home="id,bearing\nA,0.4\n", seen=seen, odom=odom))
-    assert found[0].range == "1700000000 to 1700000000.05 s"
+    assert found["odometry"].range_of("t") == "1700000000 to 1700000000.05 s"
     drive = drive_of(found, "bag")
     assert drive.settings.epoch == 1_700_000_000
     assert drive.odometry.t == pytest.approx([0.0, 0.05], abs=1e-6)
@@ -386,8 +388,9 @@ def test_headings_beyond_a_turn_have_the_unit_that_fits_the_path(
     )
     rows = zip(0.1 * np.arange(angle.size), direction * x, direction * y, heading, strict=True)
     path = write(tmp_path, odom=table("t,x,y,theta", (f"{t},{a},{b},{c}" for t, a, b, c in rows)))
-    found = {one.column.role: (one.unit, one.source) for one in understand(path)}
-    assert found["heading"] == (unit, "guessed: along the path")
+    (poses,) = understand(path).values()
+    found = poses.columns["heading"]
+    assert (found.unit, found.source) == (unit, "guessed: along the path")
 
 
 def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
@@ -511,7 +514,7 @@ def test_whatever_stands_in_it_there_is_an_answer_or_one_line(tmp_path, lines, c
     said = ""
     try:
         found = understand([file], columns)
-        assert all(one.range is not None for one in found)
+        assert all(list(one.rows()) for one in found.values())
     except InputError as error:
         said = str(error)
     assert len(said.splitlines()) <= 1
@@ -528,7 +531,7 @@ def test_stamps_of_one_clock_in_two_units_are_understood(tmp_path):
 def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
     hours = ["2026-11-23 12:00:00", "", "nan", "2026-11-23 12:00:00.5"]
     found = understand(write(tmp_path, odom=table("date,v,w", (f"{h},1,0" for h in hours))))
-    assert found[0].table["t"].tolist() == [1795435200.0, 1795435200.5]
+    assert found["odometry"].table["t"].tolist() == [1795435200.0, 1795435200.5]
     with pytest.raises(InputError, match="must be a number or a time like 2026-11-23 12:00"):
         understand(write(tmp_path, odom="date,v,w\nNov 23 2026 12:00:00,1,0\n"))
 
@@ -544,7 +547,7 @@ def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
 )
 def test_times_may_have_slashes_or_no_date(tmp_path, noon, later):
     found = understand(write(tmp_path, odom=f"time,v,w\n{noon},1,0\n{later},1,0\n"))
-    first, last = found[0].table["t"].tolist()
+    first, last = found["odometry"].table["t"].tolist()
     assert (first % 86400, last - first) == (43200, 0.5)
 
 
@@ -558,19 +561,19 @@ def test_text_files_of_windows_are_read(tmp_path, encoding):
     file = tmp_path / "odom.csv"
     file.write_bytes("sep=;\nt;v;w\n0,0;1,0;0,1\n0,1;1,0;#NUM!\n0,2;1,0;0,1\n".encode(encoding))
     found = understand([file])
-    assert found[0].table["t"].tolist() == [0.0, 0.2]
+    assert found["odometry"].table["t"].tolist() == [0.0, 0.2]
 
 
 def test_an_unnamed_index_of_times_has_the_stamps(tmp_path):
     text = ",v,w\n2026-11-23 12:00:00+00:00,1,0\n2026-11-23 12:00:00.5+00:00,1,0\n"
-    assert len(understand(write(tmp_path, odom=text))[0].table) == 2
+    assert len(understand(write(tmp_path, odom=text))["odometry"].table) == 2
 
 
 def test_fields_of_topics_in_one_table_are_landmarks(tmp_path):
     rows = (f"{k},1,0,{0.01 * k},,1\n" for k in range(9))
     text = "__time,/odom/v,/odom/w,/bearings/L1,/tags/L2/bearing,/bearings/L3\n" + "".join(rows)
     found = understand(write(tmp_path, log=text, home="id,bearing\nL1,0\nL2,1\nL3,2\n"))
-    seen = next(one.table for one in found if one.kind == "bearings")
+    seen = found["bearings"].table
     assert set(seen["landmark"].tolist()) == {"L1", "L3"}
 
 
@@ -592,7 +595,7 @@ def test_stamps_of_two_clocks_with_one_unit_named_have_a_unit_each(tmp_path, uni
     odom = table(f"time [{unit}],v,w", rows)
     seen = table("t,landmark,bearing", (f"{0.2 * k:g},a,0.1" for k in range(100)))
     found = understand(write(tmp_path, odom=odom, seen=seen))
-    stamps = next(one.table["t"] for one in found if one.kind == "bearings")
+    stamps = found["bearings"].table["t"]
     assert stamps[-1] == pytest.approx(19.8)
 
 
@@ -667,7 +670,7 @@ def test_clockwise_bearings_of_two_cameras_are_found(tmp_path):
             seen.append(f"{at},{tag},{names[k % 2]},{bearing}")
     seen = table("t,tag,camera,bearing", seen)
     found = understand(write(tmp_path, odometry=odometry, seen=seen))
-    assert any("bearings with changed sign" in reason for one in found for reason in one.remarks)
+    assert any("bearings with changed sign" in reason for reason in found["bearings"].remarks)
     drive = drive_of(found, "", home_needed=False)
     write_folder(drive, tmp_path / "drive")
     assert (

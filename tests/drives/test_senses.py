@@ -171,7 +171,7 @@ def test_bearings_of_a_compass_are_refused_and_change_no_unit_of_yaw_rates(seed,
     drive = Drive("", odometry, seen, home, DriveSettings())
     for sign in (1.0, -1.0):  # clockwise, as a compass has them
         found = understand(write(tmp_path, drive, sign * bearing))
-        assert next(one.unit for one in found if one.column.role == "omega") == "rad/s"
+        assert found["odometry"].columns["omega"].unit == "rad/s"
         with pytest.raises(InputError, match="do not turn with the robot: they are in a fixed"):
             drive_of(found, "")
 
@@ -205,12 +205,12 @@ def test_the_unit_of_slow_yaw_rates_follows_from_the_bearings(plain, tmp_path):
     for factor, unit in ((1.0, "rad/s"), (np.degrees(1.0), "deg/s")):
         paths = write(tmp_path, slow, s.bearing, omega=factor)
         found = understand(paths)
-        (rate,) = [one for one in found if one.column.role == "omega"]
+        rate = found["odometry"].columns["omega"]
         assert rate.unit == unit
         drive = drive_of(found, "")
         assert drive.odometry.omega == pytest.approx(slow.odometry.omega, abs=1e-9)
     (option,) = (re.search(r"--columns '(.*)'", line)[1] for line in drive.remarks)
-    assert next(o for o in understand(paths, [option]) if o.column.role == "omega").unit == "rad/s"
+    assert understand(paths, [option])["odometry"].columns["omega"].unit == "rad/s"
 
 
 def test_a_unit_that_fits_the_bearings_is_not_reported_as_untested(plain, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -209,7 +210,7 @@ class Column:
     name: str
     """Name in the file."""
     unit: str | None = None
-    """Unit that was specified; None: unknown."""
+    """None: unknown; empty for names."""
     sign: float = 1.0
     is_specified: bool = False
     """Whether the user specified its role."""
@@ -221,6 +222,15 @@ class Column:
     time of day; empty: one column."""
     file: str | None = None
     """Name of the file it was specified for; None: any file with such a column."""
+    source: str = ""
+    """Source of its unit, as shown to the user: specified, named, guessed, ..."""
+    is_guessed: bool = False
+    """Whether neither the user nor its name specified the unit."""
+
+    @property
+    def may_be_deg(self) -> bool:
+        """Whether an angle or a rate was taken as rad although its unit is unknown."""
+        return self.is_guessed and (self.unit or "").startswith("rad")
 
     @property
     def quantity(self) -> str:
@@ -237,6 +247,16 @@ class Column:
     def si(self) -> str:
         """The SI unit of the quantity."""
         return next(iter(UNITS[self.quantity]))
+
+    def unit_error(self, problem: str, file: Path, *units: str, first: str = "") -> InputError:
+        """Return the refusal of a column without a clear unit, of which `units` are likely.
+
+        `first` is other advice.
+        """
+        way = " or ".join(
+            [f"'{self.role}={self.name}[{units[0]}]'", *(f"[{u}]" for u in units[1:])]
+        )
+        return InputError(problem, file, advice=f"{first}give its unit, as in --columns {way}")
 
 
 def specified_columns(texts: Sequence[str], there: Mapping[str, Collection[str]]) -> list[Column]:

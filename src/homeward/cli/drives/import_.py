@@ -142,10 +142,7 @@ def import_(
         files, columns or (), kinds or (), geometry if wheels else None, lenses, tag_size
     )
     keys = ("file", "is", "column", "as", "unit", "how", "range")
-    rows = [
-        (u.table.file.name, u.kind, u.column.signed_name, u.column.role, u.unit, u.source, u.range)
-        for u in found
-    ]
+    rows = [row for one in found.values() for row in one.rows()]
     if not json:
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
     with shared.progress("mapping the drive for home") as on_progress:

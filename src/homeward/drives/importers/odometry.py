@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import NoReturn
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from homeward.drives.columns import Column
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY, sorted_by_time, without_repeats
-from homeward.drives.importers.parts import ImportedColumn
+from homeward.drives.importers.parts import Imported
 from homeward.drives.measure import motion, with_yaw_rate
 from homeward.drives.plausibility import remark_other_units
 from homeward.drives.settings import Wheels
@@ -39,15 +39,13 @@ EXAMPLE = SIZES | {"omni_radius": 0.2, "modules": "'[[.3,.3],[.3,-.3],[-.3,.3],[
 """Values shown in error messages."""
 
 
-def imported_odometry(
-    columns: Sequence[ImportedColumn], table: Table, wheels: Wheels, remarks: dict[str, int]
-) -> Odometry:
-    """Return the odometry of a table in SI units with these columns.
+def imported_odometry(one: Imported, wheels: Wheels, remarks: dict[str, int]) -> Odometry:
+    """Return the odometry of an imported table.
 
     `InputError` where the geometry of the wheels is missing or given without a need, or the unit of
     the wheels is ambiguous or too large.
     """
-    by_role = {one.column.role: one for one in columns}
+    by_role, table = one.columns, one.table
     if wheels != Wheels() and not by_role.keys() & {*WHEELS, *MODULES, "steering"}:
         raise InputError(
             "not needed: the odometry does not come from wheels",
@@ -74,12 +72,12 @@ def imported_odometry(
     odometry = _of_wheels(by_role, table, wheels, remarks)
     if "omega" not in by_role:
         return odometry
-    gyro, name = by_role["omega"], repr(by_role["omega"].column.name)
-    return with_yaw_rate(odometry, t, table["omega"], name, remarks, gyro.may_be_deg)
+    gyro = by_role["omega"]
+    return with_yaw_rate(odometry, t, table["omega"], repr(gyro.name), remarks, gyro.may_be_deg)
 
 
 def _of_wheels(
-    by_role: dict[str, ImportedColumn], table: Table, wheels: Wheels, remarks: dict[str, int]
+    by_role: Mapping[str, Column], table: Table, wheels: Wheels, remarks: dict[str, int]
 ) -> Odometry:
     """Return the odometry of left and right wheels, of a mecanum drive, or of omni wheels."""
     by_wheel = {role.rpartition("_")[0]: one for role, one in by_role.items() if role in WHEELS}
@@ -87,23 +85,26 @@ def _of_wheels(
     names = on_circle or (FOUR if FOUR[0] in by_wheel else PAIR)
     columns = [by_wheel[name] for name in names]
     left, right = columns[:2]
-    role, name, unit = left.column.role.rpartition("_")[2], left.column.name, base_of(left.unit)
+    role, name, unit = left.role.rpartition("_")[2], left.name, base_of(str(left.unit))
+    in_rad = "rad/s" if role == "speed" else "rad"
     for other in columns[1:]:
-        if base_of(other.unit) != unit:
-            _refuse_unit(left, f"{name!r} is in {left.unit}, {other.column.name!r} in {other.unit}")
-    if role == "speed" and left.column.unit is None and unit == "m" and wheels.wheel_radius:
-        _refuse_unit(left, f"{name!r} may be in m/s, or in rad/s as wheel_radius is given")
+        if base_of(str(other.unit)) != unit:
+            problem = f"{name!r} is in {left.unit}, {other.name!r} in {other.unit}"
+            raise left.unit_error(problem, table.file, in_rad)
+    if role == "speed" and left.is_guessed and unit == "m" and wheels.wheel_radius:
+        problem = f"{name!r} may be in m/s, or in rad/s as wheel_radius is given"
+        raise left.unit_error(problem, table.file, in_rad)
     _require(missing_geometry(wheels, names, unit), columns, table)
-    t, values = table["t"], np.stack([table[one.column.role] for one in columns], axis=1)
+    t, values = table["t"], np.stack([table[one.role] for one in columns], axis=1)
     speeds = wheel_speeds(t, values, wheels, unit, remarks, are_positions=role != "speed")
     moved = speeds[:-1] * np.diff(t)[:, None]
-    if role == "wheel" and not left.column.is_specified and not any(map(accumulates, moved.T)):
+    if role == "wheel" and not left.is_specified and not any(map(accumulates, moved.T)):
         steps, positions = (
-            ", ".join(f"{w}_{what}={c.column.name}" for w, c in zip(names, columns, strict=True))
+            ", ".join(f"{w}_{what}={c.name}" for w, c in zip(names, columns, strict=True))
             for what in ("step", "wheel")
         )
         raise InputError(
-            f"{name!r} and {right.column.name!r} do not accumulate",
+            f"{name!r} and {right.name!r} do not accumulate",
             table.file,
             advice=f"use --columns '{steps}' for steps from row to row, otherwise '{positions}'",
         )
@@ -112,29 +113,21 @@ def _of_wheels(
     moving = np.hypot(*speeds.T) > 0.0
     opposite = int((speeds.prod(axis=1) < 0).sum())
     if 2 * opposite > moving.sum():
-        remarks[OPPOSITE.format(right.column.role, right.column.name)] = opposite
+        remarks[OPPOSITE.format(right.role, right.name)] = opposite
     odometry = of_wheels(t, speeds, names, wheels, remarks)
     if (usual := float(np.nanquantile(np.abs(odometry.v), 0.95))) > MAX_SPEED:
-        _refuse_unit(left, f"the wheels reach {usual:.3g} m/s; check --wheels")
+        problem = f"the wheels reach {usual:.3g} m/s; check --wheels"
+        raise left.unit_error(problem, table.file, in_rad)
     return odometry
 
 
-def _require(missing: Sequence[str], columns: Iterable[ImportedColumn], table: Table) -> None:
+def _require(missing: Sequence[str], columns: Iterable[Column], table: Table) -> None:
     """Refuse wheels without their geometry."""
     if missing:
-        names = " and ".join(f"{c.column.name!r} [{c.unit}]" for c in columns)
+        names = " and ".join(f"{c.name!r} [{c.unit}]" for c in columns)
         example = ",".join(f"{key}={EXAMPLE[key]}" for key in missing)
         raise InputError(
             f"odometry from {names} requires {', '.join(missing)} (SI units)",
             table.file,
             advice=f"give them, as in --wheels {example}",
         )
-
-
-def _refuse_unit(one: ImportedColumn, problem: str) -> NoReturn:
-    column, unit = one.column, "rad/s" if one.column.role.endswith("speed") else "rad"
-    raise InputError(
-        problem,
-        one.table.file,
-        advice=f"give its unit, as in --columns '{column.role}={column.name}[{unit}]'",
-    )

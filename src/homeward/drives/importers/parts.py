@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -69,39 +70,51 @@ class OdometryStamps:
 
 
 @dataclass(frozen=True)
-class ImportedColumn:
-    """A recognised column, with its converted table."""
+class Imported:
+    """A table of a drive in SI units."""
 
     kind: str
     """Odometry, bearings, home, truth, gyro or tilt."""
     table: Table
-    """The whole table in SI units."""
-    column: Column
-    unit: str
-    source: str
-    """Source of the unit: specified, named, or guessed."""
+    """Its columns by role."""
+    columns: Mapping[str, Column]
+    """Their names and units in the file, by role."""
     is_unsure: bool = False
     """Whether poses were taken as ground truth only because there is other odometry."""
     remarks: dict[str, int] = field(default_factory=dict)
-    """Numbers of corrections of the table, by description."""
+    """Numbers of corrections, by description."""
 
-    @property
-    def may_be_deg(self) -> bool:
-        """Whether an angle or a rate was taken as rad although its unit is unknown."""
-        return self.column.unit is None and self.unit.startswith("rad")
+    def changed(
+        self,
+        values: Mapping[str, np.ndarray],
+        columns: Iterable[Column] = (),
+        remarks: Mapping[str, int] = MappingProxyType({}),
+    ) -> Imported:
+        """Return the table with other values by role, other columns, and further remarks."""
+        return replace(
+            self,
+            table=replace(self.table, columns={**self.table.columns, **values}),
+            columns={**self.columns, **{column.role: column for column in columns}},
+            remarks={**self.remarks, **remarks},
+        )
 
-    @property
-    def range(self) -> str:
-        """Range of the values in SI units; for names, their number."""
-        values = self.table[self.column.role]
-        if self.column.quantity == "name":
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        """Yield file, kind, column, role, unit, source of the unit, and range of each column."""
+        for role, c in self.columns.items():
+            name, unit = self.table.file.name, str(c.unit)
+            yield name, self.kind, c.signed_name, role, unit, c.source, self.range_of(role)
+
+    def range_of(self, role: str) -> str:
+        """Return the range of the values of a role in SI units; for names, their number."""
+        column, values = self.columns[role], self.table[role]
+        if column.quantity == "name":
             names = set(values.tolist()) - {""}
             return f"{len(names)} names" if names else "no ids"
-        seen, digits = values[np.isfinite(values)], 12 if self.column.role == "t" else 6
+        seen, digits = values[np.isfinite(values)], 12 if role == "t" else 6
         ends = f"{seen.min():.{digits}g} to {seen.max():.{digits}g}" if seen.size else ""
-        is_wheel = self.column.quantity.startswith("wheel")
-        per_s = "/s" * self.column.quantity.endswith("speed")
-        unit = base_of(self.unit) + per_s if is_wheel else self.column.si
+        per_s = "/s" * column.quantity.endswith("speed")
+        is_wheel = column.quantity.startswith("wheel")
+        unit = base_of(str(column.unit)) + per_s if is_wheel else column.si
         return f"{ends} {unit}" if ends else ""
 
 
@@ -128,39 +141,42 @@ class Part:
         table, _ = self._plain()
         return len(table) > 0 and all(abs(table[role][0]) < 1e-3 for role in ("x", "y", "heading"))
 
-    def read(self, clock: OdometryStamps | None, angle: str | None = None) -> list[ImportedColumn]:
+    def read(self, clock: OdometryStamps | None, angle: str | None = None) -> Imported:
         """Read the table in SI units.
 
         `clock` is that of the odometry, `angle` the unit of bearings where the file specifies none.
         """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
+        values, columns = dict(table.columns), dict[str, Column]()
         # A sigma has the unit of its bearing, and a sideways speed that of the forward speed.
-        self.columns = dict(sorted(self.columns.items(), key=lambda item: item[0] in AFTER))
-        values, units = dict(table.columns), dict[str, tuple[str, str]]()
-        for role, column in self.columns.items():
-            units[role] = "", "unchanged"
+        for role, column in sorted(self.columns.items(), key=lambda item: item[0] in AFTER):
+            unit, source = "", "unchanged"
             if role == "sigma":  # the same program writes bearings and sigmas
-                angle = units["bearing"][0]
-            if column.quantity != "name":
-                if role == "vy" and column.unit is None:  # the same program writes both speeds
-                    units[role] = units["v"][0], "as v"
-                else:
-                    units[role] = _unit(table, column, clock, angle)
-                unit, _ = units[role]
+                angle = columns["bearing"].unit
+            if role == "vy" and column.unit is None:  # the same program writes both speeds
+                unit, source = str(columns["v"].unit), "as v"
+            elif column.quantity != "name":
+                unit, source = _unit(table, column, clock, angle)
+            if unit:
                 values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
+            if self.source and role in (*POSITION_ROLES, "up", *PIXEL_ROLES):
+                source = self.source.name
+            is_guessed = bool(unit) and column.unit is None
+            source = "specified" if column.is_specified else source
+            columns[role] = replace(column, unit=unit, source=source, is_guessed=is_guessed)
         remarks = self.sheet.remarks | ({INCOMPLETE.format(self.kind): missing} if missing else {})
-        columns = dict(self.columns)
-        ordered = dataclasses.replace(table, columns=values)
+        ordered = replace(table, columns=values)
         if self.source:
-            for role in {*POSITION_ROLES, "up", *PIXEL_ROLES}.intersection(units):
-                units[role] = units[role][0], self.source.name
             for role, found in self.source.measured(values).items():
                 if role == "elevation":  # not shown
                     values[role] = found
                 elif role in (*KINDS[self.kind], *OPTIONAL[self.kind]):
-                    unit = "m" if role == "range" else "rad"
-                    columns[role] = Column(role, self.source.formula(columns, role), unit)
-                    values[role], units[role] = found, (unit, self.source.reason)
+                    name, unit = (
+                        self.source.formula(columns, role),
+                        "m" if role == "range" else "rad",
+                    )
+                    values[role] = found
+                    columns[role] = Column(role, name, unit, source=self.source.reason)
             is_seen = np.isfinite(values["bearing"])
             if not is_seen.any():
                 raise InputError(f"all rows are of {UNSEEN}", table.file)
@@ -171,18 +187,8 @@ class Part:
             ordered = sorted_by_time(ordered, self.kind, remarks)
         if self.decision:
             remarks[self.decision] = len(ordered)
-        return [
-            ImportedColumn(
-                self.kind,
-                ordered,
-                column,
-                unit,
-                "specified" if column.is_specified else source,
-                self.kind == "truth" and bool(self.decision),
-                remarks,
-            )
-            for (unit, source), column in zip(units.values(), columns.values(), strict=True)
-        ]
+        is_unsure = self.kind == "truth" and bool(self.decision)
+        return Imported(self.kind, ordered, columns, is_unsure, remarks)
 
     def _plain(self) -> tuple[Table, int]:
         """Read a table with a row for each sample; return it with the number of incomplete rows."""
@@ -215,12 +221,8 @@ def _unit(
         return column.unit, "named"
     if (unknown := foreign_unit(column.name, column.quantity)) is not None:
         units = ", ".join(UNITS[column.quantity])
-        raise InputError(
-            f"{unknown!r} of {column.name!r} is no unit of {column.role}, as {units} are",
-            table.file,
-            advice="convert the column, or give its unit, as in --columns "
-            f"'{column.role}={column.name}[{column.si}]'",
-        )
+        problem = f"{unknown!r} of {column.name!r} is no unit of {column.role}, as {units} are"
+        raise column.unit_error(problem, table.file, column.si, first="convert the column, or ")
     if column.quantity == "time":
         # Two programs may write the stamps of one clock in different units.
         own = _unix_unit(t := table["t"])
@@ -236,11 +238,8 @@ def _unit(
         if unit is not None:
             return unit, "guessed: whole numbers" if unit == "ticks" else "guessed"
         if column.quantity == "wheel":
-            raise InputError(
-                f"{column.name!r} may be in ticks, rad or m",
-                table.file,
-                advice=f"give its unit, as in --columns '{column.role}={column.name}[rad]'",
-            )
+            problem = f"{column.name!r} may be in ticks, rad or m"
+            raise column.unit_error(problem, table.file, "rad")
     if column.role == "range" and largest > MAX_LENGTH:
         return "mm", f"guessed: more than {MAX_LENGTH:g}"
     is_tilt = column.role in ("roll", "pitch")
@@ -249,11 +248,8 @@ def _unit(
     if (column.role == "steering" or is_tilt) and largest > math.pi / 2:
         return "deg", "guessed: more than a quarter turn"
     if is_tilt and largest > MAX_TILT:
-        raise InputError(
-            f"roll and pitch reach {largest:.3g} and may be in degrees",
-            table.file,
-            advice=f"give their unit, as in --columns '{column.role}={column.name}[deg]'",
-        )
+        problem = f"roll and pitch reach {largest:.3g} and may be in degrees"
+        raise column.unit_error(problem, table.file, "deg")
     is_pose = column.role == "heading" and {"x", "y"} <= set(table.columns)
     if is_pose and largest > 1.01 * math.tau:
         # Headings that count the turns exceed a turn in radians, too.
@@ -261,28 +257,20 @@ def _unit(
         if unit is not None:
             return unit, "guessed: along the path"
     if column.role == "bearing" and FULL_TURN_DEG < largest <= FULL_TURN_GON:
-        raise InputError(
-            f"{column.name!r} reaches {largest:.6g}, too much for degrees of one turn",
-            table.file,
-            advice=f"give its unit, as in --columns '{column.role}={column.name}[gon]' or [deg]",
-        )
+        problem = f"{column.name!r} reaches {largest:.6g}, too much for degrees of one turn"
+        raise column.unit_error(problem, table.file, "gon", "deg")
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:
         if angle != "rad" and values.size >= MIN_COMMON and largest < 1.01 * math.pi:
-            raise InputError(
-                f"{column.name!r} reaches only {largest:.3g}, but other bearings are in {angle}",
-                table.file,
-                advice=f"give its unit, as in --columns '{column.role}={column.name}[rad]' or "
-                f"[{angle}]",
+            problem = (
+                f"{column.name!r} reaches only {largest:.3g}, but other bearings are in {angle}"
             )
+            raise column.unit_error(problem, table.file, "rad", angle)
         return angle, "as bearings"
     if column.si == "m/s" and largest > MAX_SPEED:
-        raise InputError(
-            f"{column.name!r} reaches {largest:.6g}, too fast for m/s",
-            table.file,
-            advice=f"give its unit, as in --columns '{column.role}={column.name}[mm/s]'",
-        )
+        problem = f"{column.name!r} reaches {largest:.6g}, too fast for m/s"
+        raise column.unit_error(problem, table.file, "mm/s")
     return column.si, "guessed"
 
 

@@ -35,7 +35,7 @@ from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import (
     MIN_COMMON,
     UNIX_S,
-    ImportedColumn,
+    Imported,
     OdometryStamps,
     Part,
 )
@@ -152,8 +152,8 @@ def understand(
     wheels: Wheels | None = None,
     cameras: Calibrations | None = None,
     tag_size: float | None = None,
-) -> list[ImportedColumn]:
-    """Read text files, with the roles and units of their columns recognised.
+) -> dict[str, Imported]:
+    """Read text files, with the roles and units of their columns recognised, by kind of table.
 
     The tables may have any separator, decimal mark, header and units; files of other formats are
     read by installed sources. `columns` are texts ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or
@@ -177,16 +177,15 @@ def _understood(
     wheels: Wheels | None,
     cameras: Calibrations | None,
     tag_size: float | None,
-) -> list[ImportedColumn]:
-    """Return the recognised columns of tables; parameters as of `understand`."""
+) -> dict[str, Imported]:
+    """Return the recognised tables; parameters as of `understand`."""
     there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
     specified = specified_columns(columns, there)
     parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, cameras)
     if tag_size is not None:
         _set_tag_size(parts, tag_size)
-    found: list[ImportedColumn] = []
+    found: dict[str, Imported] = {}
     clock: OdometryStamps | None = None
-    angle: str | None = None
     # Odometry first: from its rate, the unit of stamps can be guessed. Bearings before home: they
     # are more, so one of them probably exceeds 2 pi if they are in degrees.
     for kind in KINDS:
@@ -200,15 +199,13 @@ def _understood(
         for part in mine:
             others = [p for p in parts if p.sheet is part.sheet and p.kind != "tilt"]
             part.is_alone = len(others) == 1
-            found += part.read(clock, angle)
-            timed = next((u for u in found if u.column.role == "t" and len(u.table)), None)
-            clock = clock or (OdometryStamps(timed.unit, timed.table["t"]) if timed else None)
-            if kind == "bearings":
-                seen = next(u for u in found if u.column.role == "bearing")
-                angle = None if seen.column.unit else seen.unit
+            seen = found["bearings"].columns["bearing"] if "bearings" in found else None
+            angle = seen.unit if seen is not None and seen.is_guessed else None
+            one = found[kind] = part.read(clock, angle)
+            if clock is None and "t" in one.columns and len(one.table):
+                clock = OdometryStamps(str(one.columns["t"].unit), one.table["t"])
     with suppress(InputError):  # `drive_of` raises it after the columns are shown
-        tables = {one.kind: one.table for one in found}
-        return with_senses(_odometry(found, tables, wheels, {}), found)
+        return with_senses(_odometry(found, wheels, {}), found)
     return found
 
 
@@ -240,7 +237,7 @@ def _refuse_drives(path: Path) -> None:
 
 
 def drive_of(
-    found: Sequence[ImportedColumn],
+    found: Mapping[str, Imported],
     name: str,
     home: HomeWhen | None = None,
     wheels: Wheels | None = None,
@@ -253,26 +250,28 @@ def drive_of(
     `wheels` is their geometry, where the odometry comes from wheels. `InputError` names the missing
     table, or the file and row of the problem.
     """
-    tables = {one.kind: one.table for one in found}
     for kind in ("odometry", "bearings", "home")[: 3 if home is None and home_needed else 2]:
-        if kind not in tables:
+        if kind not in found:
             needs = ", ".join(KINDS[kind]) + OTHER_SOURCES[kind]
             label = kind.replace("home", "home bearings")
             advice = "give roles with --columns if the names of columns were not recognised"
             if kind == "home":
                 advice += f", {HOME_ADVICE}"
             raise InputError(f"no {label} found: no file has the columns {needs}", advice=advice)
-    if "tilt" not in tables:  # without use
-        columns = {n: c for n, c in tables["bearings"].columns.items() if n != "elevation"}
-        tables["bearings"] = dataclasses.replace(tables["bearings"], columns=columns)
-    start = float(np.min(tables["odometry"]["t"], initial=math.inf))
+    found = dict(found)
+    if "tilt" not in found:  # without use
+        table = found["bearings"].table
+        columns = {name: values for name, values in table.columns.items() if name != "elevation"}
+        table = dataclasses.replace(table, columns=columns)
+        found["bearings"] = dataclasses.replace(found["bearings"], table=table)
+    start = float(np.min(found["odometry"].table["t"], initial=math.inf))
     epoch = math.floor(start) if UNIX_S[0] <= start < UNIX_S[1] else 0
-    for kind, table in tables.items():
-        if "t" in table.columns:
-            columns = {**table.columns, "t": table["t"] - epoch}
-            tables[kind] = dataclasses.replace(table, columns=columns)
-    remarks = {reason: n for one in found for reason, n in one.remarks.items()}
-    odometry = _odometry(found, tables, wheels, remarks)
+    for kind, one in found.items():
+        if "t" in one.table.columns:
+            found[kind] = one.changed({"t": one.table["t"] - epoch})
+    tables = {kind: one.table for kind, one in found.items()}
+    remarks = {reason: n for one in found.values() for reason, n in one.remarks.items()}
+    odometry = _odometry(found, wheels, remarks)
     given: dict[str, Any] = {"epoch": epoch} if epoch else {}
     if wheels not in (None, Wheels()):
         turned_by_gyro = "gyro" in tables or "omega" in tables["odometry"].columns
@@ -289,9 +288,8 @@ def drive_of(
         tilt=samples_of(Tilt, tables["tilt"], remarks) if "tilt" in tables else None,
         remarks=remarks,
     )
-    truth = next((one for one in found if one.kind == "truth"), None)
-    if truth is not None and truth.is_unsure:
-        drive = _without_dead_reckoning(drive, truth.table.file)
+    if "truth" in found and found["truth"].is_unsure:
+        drive = _without_dead_reckoning(drive, tables["truth"].file)
     drive = with_clock_remarks(drive, tables["bearings"].file)
     require_imported_senses(drive, found)
     return drive if home is None else with_home(drive, home, on_progress)
@@ -312,9 +310,10 @@ def _averaged(home: Table, remarks: dict[str, int]) -> Table:
     return Table(home.file, home.row[first], columns | {"bearing": np.angle(total)})
 
 
-def sense_warnings(drive: Drive, found: Sequence[ImportedColumn]) -> list[str]:
+def sense_warnings(drive: Drive, found: Mapping[str, Imported]) -> list[str]:
     """Return a warning where the senses and units of bearings could not be tested."""
-    is_tested = any(one.source.endswith(FITS) for one in found)  # in its former unit
+    columns = (column for one in found.values() for column in one.columns.values())
+    is_tested = any(column.source.endswith(FITS) for column in columns)  # in its former unit
     decided = require_imported_senses(drive, found).sense
     return [] if is_tested or decided is not None else [NOT_DECIDED]
 
@@ -338,23 +337,17 @@ def home_warnings(drive: Drive) -> list[str]:
 
 
 def _odometry(
-    found: Sequence[ImportedColumn],
-    tables: Mapping[str, Table],
-    wheels: Wheels | None,
-    remarks: dict[str, int],
+    found: Mapping[str, Imported], wheels: Wheels | None, remarks: dict[str, int]
 ) -> Odometry:
-    """Return the odometry of imported tables by kind, with the yaw rate of a gyroscope if any."""
-    if "odometry" not in tables:
+    """Return the odometry of imported tables, with the yaw rate of a gyroscope if any."""
+    if "odometry" not in found:
         raise InputError("no odometry")
-    columns = [one for one in found if one.kind == "odometry"]
-    odometry = imported_odometry(columns, tables["odometry"], wheels or Wheels(), remarks)
-    if "gyro" in tables:
-        gyro = without_repeats(tables["gyro"], remarks, REPEATED_ODOMETRY)
-        file, values = gyro.file.name, (gyro["t"], gyro["omega"])
-        may_be_deg = any(
-            o.kind == "gyro" and o.may_be_deg for o in found if o.column.role == "omega"
-        )
-        odometry = with_yaw_rate(odometry, *values, file, remarks, may_be_deg)
+    odometry = imported_odometry(found["odometry"], wheels or Wheels(), remarks)
+    if "gyro" in found:
+        gyro = without_repeats(found["gyro"].table, remarks, REPEATED_ODOMETRY)
+        may_be_deg = found["gyro"].columns["omega"].may_be_deg
+        yaw_rate = gyro["t"], gyro["omega"], gyro.file.name
+        odometry = with_yaw_rate(odometry, *yaw_rate, remarks, may_be_deg)
     return odometry
 
 

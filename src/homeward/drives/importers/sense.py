@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 
+from homeward.drives.columns import Column
 from homeward.drives.drive import Drive, Odometry
-from homeward.drives.importers.parts import ImportedColumn
+from homeward.drives.importers.parts import Imported
 from homeward.drives.importers.pixels import PIXEL_ROLES
 from homeward.drives.senses import (
     FIXED_SPEEDS,
@@ -45,146 +46,132 @@ WRONG_WAY = (
 )
 
 
-def with_senses(odometry: Odometry, found: list[ImportedColumn]) -> list[ImportedColumn]:
-    """Return the columns of a drive in the sense of rotation and the units that fit its odometry.
+def with_senses(odometry: Odometry, found: Mapping[str, Imported]) -> dict[str, Imported]:
+    """Return the tables of a drive in the sense of rotation and the units that fit its odometry.
 
     Specified columns stay as they are, and so do home bearings of another kind: bearings, positions
     and pixels may come from several programs.
     """
-    seen = [one for one in found if one.kind == "bearings"]
-    if not seen or is_fixed(seen):
+    found = dict(found)
+    if "bearings" not in found or is_fixed(found["bearings"]):
         return found
-    sense = _test(odometry, seen[0]).sense
-    if sense is None or sense is Sense.RIGHT:
-        return found
-    if sense.rate_factor != 1.0:
-        found, odometry = _in_other_unit(sense, found, odometry)
-        seen = [one for one in found if one.kind == "bearings"]
-        sense = _test(odometry, seen[0]).sense
+    sense = _test(odometry, found["bearings"]).sense
+    if sense is not None and sense.rate_factor != 1.0:
+        odometry = _set_other_unit(sense, found, odometry)
+        sense = _test(odometry, found["bearings"]).sense
+    seen, home = found["bearings"], found.get("home")
     if sense is not Sense.REVERSED or _sided(seen):
         return found
-    home = [one for one in found if one.kind == "home"]
-    also_home = not is_fixed(home) and _sources(home) == _sources(seen)
-    kinds = ("bearings", "home") if also_home else ("bearings",)
-    return [_reversed(one) if one.kind in kinds else one for one in found]
+    found["bearings"] = _reversed(seen)
+    if home is not None and not is_fixed(home) and _sources(home) == _sources(seen):
+        found["home"] = _reversed(home)
+    return found
 
 
-def _test(odometry: Odometry, seen: ImportedColumn) -> SenseTest:
+def _test(odometry: Odometry, seen: Imported) -> SenseTest:
     t = seen.table
     camera = t.columns.get("camera")
     return compare_senses(odometry, t["t"], t["landmark"], t["bearing"], camera)
 
 
-def require_imported_senses(drive: Drive, found: Sequence[ImportedColumn]) -> SenseTest:
-    """Test the drive of these columns; `InputError` with a remedy where it contradicts itself.
+def require_imported_senses(drive: Drive, found: Mapping[str, Imported]) -> SenseTest:
+    """Test the drive of these tables; `InputError` with a remedy where it contradicts itself.
 
     Specified bearings are not tested.
     """
-    is_specified = any(one.column.role == "vy" and one.column.is_specified for one in found)
-    if not is_specified and num_fixed_speeds(drive.odometry):
+    seen, odometry = found["bearings"], found["odometry"]
+    vy = odometry.columns.get("vy")
+    if not (vy and vy.is_specified) and num_fixed_speeds(drive.odometry):
         fault, remedy = FIXED_SPEEDS
         advice = f"{remedy}, or use --columns 'vy=COLUMN' to import them all the same"
         raise InputError(fault, advice=advice)
-    seen = [one for one in found if one.kind == "bearings"]
     decided = UNDECIDED if is_fixed(seen) else senses_of(drive)
     if not decided.is_fault:
         return decided
-    sided, odometry = _sided(seen), [one for one in found if one.kind == "odometry"]
+    sided = _sided(seen)
     if sided and decided.sense is Sense.FIXED_FRAME:
-        return dataclasses.replace(decided, sense=None)
+        return replace(decided, sense=None)
     if sided and decided.sense is Sense.REVERSED:
-        if any(one.column.is_specified for one in odometry):
+        if any(column.is_specified for column in odometry.columns.values()):
             return decided
-        advice = _other_way({one.column.role: one.column.name for one in odometry})
         problem = WRONG_WAY.format(decided.intervals, sided)
-        raise InputError(problem, odometry[0].table.file, advice=advice)
-    given = [u.column for u in seen if u.column.role in ("forward", *LATERAL)]
+        raise InputError(problem, odometry.table.file, advice=_other_way(odometry.columns))
+    given = [c for role, c in seen.columns.items() if role in ("forward", *LATERAL)]
     given = [c for c in given if c.role != "bearing" or len(given) == 1]
     keep = ", ".join(f"{c.role}={c.name.partition(' ... ')[0]}" for c in given)
     fault, remedy = decided.fault
     advice = f"{remedy}, or use --columns '{keep}' to import them all the same"
-    raise InputError(fault, seen[0].table.file, advice=advice)
+    raise InputError(fault, seen.table.file, advice=advice)
 
 
-def _other_way(columns: Mapping[str, str]) -> str:
+def _other_way(columns: Mapping[str, Column]) -> str:
     """Return the remedy for odometry, with columns by role, that turns the wrong way."""
     pairs = [(role, role.replace("left", "right")) for role in columns if "left" in role]
     if columns.keys() >= {role for pair in pairs for role in pair} and columns.keys() & WHEELS:
         exchanged = ", ".join(
-            f"{a}={columns[b]}, {b}={columns[a]}" for a, b in pairs if {a, b} <= columns.keys()
+            f"{a}={columns[b].name}, {b}={columns[a].name}"
+            for a, b in pairs
+            if {a, b} <= columns.keys()
         )
-        same = ", ".join(f"{role}={columns[role]}" for pair in pairs for role in pair)
+        same = ", ".join(f"{role}={columns[role].name}" for pair in pairs for role in pair)
         return (
             f"use --columns '{exchanged}' if the left and right encoders are exchanged, or "
             f"'{same}' if they are right"
         )
     role = next((r for r in ("omega", "turn", "steering", "heading") if r in columns), "omega")
-    name = columns.get(role, "COLUMN")
+    name = columns[role].name if role in columns else "COLUMN"
     return f"change the sign with --columns '{role}=-{name}', or use '{role}={name}' if it is right"
 
 
-def is_fixed(columns: Sequence[ImportedColumn]) -> bool:
+def is_fixed(one: Imported) -> bool:
     """Whether the user specified the columns of bearings."""
-    return any(one.column.role in LATERAL and one.column.is_specified for one in columns)
+    return any(one.columns[role].is_specified for role in LATERAL if role in one.columns)
 
 
-def _sided(columns: Sequence[ImportedColumn]) -> str:
+def _sided(one: Imported) -> str:
     """Return the source of bearings that shows which side is left; empty for plain angles."""
-    roles = {one.column.role for one in columns}
-    if roles.intersection(PIXEL_ROLES):
+    if not one.columns.keys().isdisjoint(PIXEL_ROLES):
         return "pixels"
-    is_sided = any(one.column.role == "forward" and one.source in SIDED for one in columns)
-    return "positions" if is_sided else ""
+    forward = one.columns.get("forward")
+    return "positions" if forward is not None and forward.source in SIDED else ""
 
 
-def _sources(columns: Sequence[ImportedColumn]) -> set[str]:
+def _sources(one: Imported) -> set[str]:
     """Return whether bearings are computed from positions, pixels or corners."""
-    return {one.column.role for one in columns}.intersection(("forward", "column", "column0"))
+    return {"forward", "column", "column0"}.intersection(one.columns)
 
 
-def _reversed(one: ImportedColumn) -> ImportedColumn:
-    """Return a column of bearings or of home with the opposite sense of rotation."""
-    column, remarks, source = one.column, one.remarks, one.source
-    values = {n: -v if n in LATERAL else v for n, v in one.table.columns.items()}
-    if column.role in LATERAL:
-        column = dataclasses.replace(column, sign=-column.sign)
-    if column.role == "bearing":
-        source = f"{source}; {SHOWN}"
-        remarks = remarks | ({REMARK: len(one.table)} if one.kind == "bearings" else {})
-    table = dataclasses.replace(one.table, columns=values)
-    return dataclasses.replace(one, table=table, column=column, source=source, remarks=remarks)
+def _reversed(one: Imported) -> Imported:
+    """Return a table of bearings or of home with the opposite sense of rotation."""
+    lateral = [role for role in LATERAL if role in one.columns]
+    columns = [replace(one.columns[role], sign=-one.columns[role].sign) for role in lateral]
+    columns[0] = replace(columns[0], source=f"{columns[0].source}; {SHOWN}")
+    remarks = {REMARK: len(one.table)} if one.kind == "bearings" else {}
+    return one.changed({role: -one.table[role] for role in lateral}, columns, remarks)
 
 
-def _in_other_unit(
-    sense: Sense, found: list[ImportedColumn], odometry: Odometry
-) -> tuple[list[ImportedColumn], Odometry]:
-    """Return the columns and the odometry with yaw rates, or else bearings, in another unit.
+def _set_other_unit(sense: Sense, found: dict[str, Imported], odometry: Odometry) -> Odometry:
+    """Convert yaw rates, or else bearings, to another unit; return the odometry.
 
     Only a unit that was guessed is changed.
     """
-    guessed = [one for one in found if one.column.unit is None]
     old, new = ("rad", "deg") if sense.rate_factor > 1.0 else ("deg", "rad")
-    for one in guessed:
-        if one.kind == "odometry" and one.column.role in ROTATIONS and one.unit.startswith(old):
-            unit = one.unit.replace(old, new)
-            scaled = [_scaled(o, one, 1.0 / sense.rate_factor, unit) for o in found]
-            twists = odometry.t, odometry.v, odometry.omega / sense.rate_factor, odometry.vy
-            return scaled, Odometry(*twists)
-    for one in guessed:
-        if new == "rad" and one.column.role == "bearing" and one.unit == "rad":
-            found = [_scaled(o, one, math.radians(1.0), "deg") for o in found]
-    return found, odometry
+    motion = found["odometry"]
+    for role in (role for role in ROTATIONS if role in motion.columns):
+        column = motion.columns[role]
+        unit = str(column.unit).replace(old, new)
+        if column.is_guessed and unit != column.unit:
+            found["odometry"] = _scaled(motion, role, 1.0 / sense.rate_factor, unit)
+            return replace(odometry, omega=odometry.omega / sense.rate_factor)
+    for kind in ("bearings", "home") if new == "rad" else ():
+        if kind in found and found[kind].columns["bearing"].may_be_deg:
+            found[kind] = _scaled(found[kind], "bearing", math.radians(1.0), "deg")
+    return odometry
 
 
-def _scaled(one: ImportedColumn, like: ImportedColumn, factor: float, unit: str) -> ImportedColumn:
-    """Return a column after that of the role and table of `like` was converted to `unit`."""
-    if one.kind != like.kind:
-        return one
-    role, name = like.column.role, like.column.name
-    columns = {**one.table.columns, role: factor * one.table[role]}
-    one = dataclasses.replace(one, table=dataclasses.replace(one.table, columns=columns))
-    if one.column.role != role:
-        return one
-    words = UNIT.format(role, unit, role, name.partition(" ... ")[0], like.unit)
-    remarks = one.remarks | {words: len(one.table)}
-    return dataclasses.replace(one, unit=unit, source=f"guessed: {FITS}", remarks=remarks)
+def _scaled(one: Imported, role: str, factor: float, unit: str) -> Imported:
+    """Return a table after a column was converted to `unit`."""
+    column = one.columns[role]
+    words = UNIT.format(role, unit, role, column.name.partition(" ... ")[0], column.unit)
+    column = replace(column, unit=unit, source=f"guessed: {FITS}")
+    return one.changed({role: factor * one.table[role]}, [column], {words: len(one.table)})
