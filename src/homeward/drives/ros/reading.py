@@ -11,14 +11,9 @@ import numpy as np
 from homeward.drives.cameras.calibration import from_camera_info
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Tilt, Truth
-from homeward.drives.folder import (
-    SAMPLES,
-    home_of,
-    read_home,
-    sightings_of,
-)
+from homeward.drives.folder import SAMPLES, home_of, read_home, sightings_of
 from homeward.drives.home.when import with_home
-from homeward.drives.measure import roll_and_pitch
+from homeward.drives.measure import roll_and_pitch, with_yaw_rate
 from homeward.drives.robot import with_calibration
 from homeward.drives.ros.decoding import Decoder
 from homeward.drives.ros.kinds import OUR_SETTINGS
@@ -38,7 +33,7 @@ from homeward.drives.ros.measurements.sightings import (
     landmark_of,
     parts_of,
 )
-from homeward.drives.ros.presets import MOTIONS, TRANSFORMS, orientation_of, row_of
+from homeward.drives.ros.presets import IMU, MOTIONS, TRANSFORMS, orientation_of, row_of
 from homeward.drives.ros.settings import (
     NAME_BEARINGS,
     PICTURES,
@@ -49,13 +44,7 @@ from homeward.drives.ros.settings import (
 from homeward.drives.ros.stamps import NANO, Remarks, clean_rows, in_order
 from homeward.drives.ros.topics.choosing import choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
-from homeward.drives.settings import (
-    DriveSettings,
-    Mount,
-    OtherCamera,
-    RobotSettings,
-    Wheels,
-)
+from homeward.drives.settings import DriveSettings, Mount, OtherCamera, RobotSettings, Wheels
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
@@ -64,6 +53,7 @@ from homeward.io.table import Table, quoted
 BOTH_CAMERAS = (
     "sightings of landmarks that another camera saw at the same stamp, stamped 1 ns later"
 )
+REPEATED_YAW_RATES = "yaw rates with the time of another, left out"
 Handler: TypeAlias = Callable[[float, Any], None]
 """Receives the time [s] of a message, and the message."""
 
@@ -132,8 +122,7 @@ class _Reading:
         odometry = plan.odometry
         self._odometry = OdometryRows(odometry, known.topic(odometry.topic).type)
         self._subscribe(odometry.topic, self._odometry.add)
-        if odometry.yaw_rate is not None:
-            self._subscribe(odometry.yaw_rate, self._odometry.add_imu)
+        self._yaw_rates = self._rows(odometry.yaw_rate, row_of(MOTIONS[IMU]))
         self._seen = [self._subscribe_sightings(topic) for topic in plan.bearings]
         self._at_home: SightingRows | None = None
         if plan.home is not None and plan.home.topic is not None:
@@ -142,18 +131,15 @@ class _Reading:
         self._transforms = Transforms()
         if plan.mount is not None and not plan.bearings:
             raise InputError(f"mount needs topics of bearings: {NAME_BEARINGS}")
-        if plan.mount is not None or len(plan.bearings) > 1 or self._has_frames:
+        has_frames = any(given.frames for given in plan.bearings)
+        if plan.mount is not None or len(plan.bearings) > 1 or has_frames:
             self._subscribe_transforms()
-        self._tilts: list[tuple[float, ...]] = []
-        if plan.tilt is not None:
-            self._subscribe(
-                plan.tilt, lambda t, m: self._tilts.append((t, *roll_and_pitch(orientation_of(m))))
-            )
+        self._tilts = self._rows(plan.tilt, lambda m: roll_and_pitch(orientation_of(m)))
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
             paths = MOTIONS[known.topic(plan.truth.topic).type]
             pose = row_of({role: paths[role] for role in ("x", "y", "heading")})
-            self._subscribe(plan.truth.topic, lambda t, m: self._poses.append((t, *pose(m))))
+            self._poses = self._rows(plan.truth.topic, pose)
 
     def drive(self, on_progress: OnProgress | None, robot: RobotSettings | None) -> Drive:
         """Read the messages and return the drive."""
@@ -166,6 +152,10 @@ class _Reading:
         self._set_extrinsics()
         odometry = self._odometry.odometry(self._remarks)
         if (source := self._plan.odometry) is not None:
+            if source.yaw_rate is not None:
+                given = self._yaw_rates, source.yaw_rate, "yaw rates", REPEATED_YAW_RATES
+                t, rate = clean_rows(*given, self._remarks).T
+                odometry = with_yaw_rate(odometry, t, rate, source.yaw_rate, self._remarks)
             wheels = Wheels(**{k: v for k, v in source if k in Wheels.model_fields and v})
             if wheels != Wheels() and source.yaw_rate is None:
                 self._settings = self._settings.model_copy(update={"wheels": wheels})
@@ -234,9 +224,14 @@ class _Reading:
     def _subscribe(self, topic: str, handler: Handler) -> None:
         self._handlers.setdefault(topic, []).append(handler)
 
-    @property
-    def _has_frames(self) -> bool:
-        return any(given.frames for given in self._plan.bearings)
+    def _rows(
+        self, topic: str | None, row: Callable[[Any], tuple[float, ...]]
+    ) -> list[tuple[float, ...]]:
+        """Return the rows (t, values) of a topic, which are filled while the log is read."""
+        rows = list[tuple[float, ...]]()
+        if topic is not None:
+            self._subscribe(topic, lambda t, message: rows.append((t, *row(message))))
+        return rows
 
     def _subscribe_transforms(self) -> None:
         """Collect the frames of the robot; those of landmarks are not needed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,25 +28,12 @@ BODY_IN_OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
 """Axes of a camera's body frame (x ahead, y left, z up) in its optical one (z ahead, x right)."""
 
 
-class Placed(NamedTuple):
-    """The pose of a frame in another one."""
-
-    rotation: np.ndarray
-    """(3, 3)"""
-    shift: np.ndarray
-    """(3,) [m]"""
-
-    def after(self, other: Placed) -> Placed:
-        """Return this pose, which is relative to `other`, in the parent frame of `other`."""
-        turned = other.rotation @ self.rotation
-        return Placed(turned, other.rotation @ self.shift + other.shift)
-
-
 class Transforms:
     """The tree of frames from /tf_static, and the constant ones from /tf."""
 
     def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, Placed]] = {}
+        self._parents: dict[str, tuple[str, np.ndarray]] = {}
+        """Parent of each frame, and the pose in it as a matrix (4, 4)."""
         self._followed: dict[str, tuple[Any, ...]] = {}
         self._moving: set[str] = set()
 
@@ -57,39 +44,39 @@ class Transforms:
 
     def put(self, given: Any) -> None:
         """Add a geometry_msgs/TransformStamped."""
-        shift, q = given.transform.translation, given.transform.rotation
-        child, parent = given.child_frame_id.strip("/"), given.header.frame_id.strip("/")
-        place = Placed(_rotation(q), np.array([shift.x, shift.y, shift.z]))
-        self._parents[child] = parent, place
+        parent, shift, q = _values(given)
+        if not 0.0 < q @ q < math.inf:
+            raise InputError("a quaternion is zero or not finite", part=TF_STATIC)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(q).as_matrix(), shift
+        self._parents[given.child_frame_id.strip("/")] = parent, pose
 
     def follow(self, given: Any) -> None:
         """Add a geometry_msgs/TransformStamped of /tf, which may change during the drive."""
-        child = given.child_frame_id.strip("/")
+        child, values = given.child_frame_id.strip("/"), _values(given)
         if child in self._moving:
             return
-        shift, q = given.transform.translation, given.transform.rotation
-        values = given.header.frame_id.strip("/"), shift.x, shift.y, shift.z, q.x, q.y, q.z, q.w
         first = self._followed.setdefault(child, values)
-        if first is values and (q.x or q.y or q.z or q.w):
+        if first is values and values[2].any():
             self.put(given)
-        else:
-            changes = (abs(a - b) for a, b in zip(first[1:], values[1:], strict=True))
-            if first[0] != values[0] or max(changes) > MAX_CHANGE:
-                self._moving.add(child)
+        elif first[0] != values[0] or any(
+            np.abs(a - b).max() > MAX_CHANGE for a, b in zip(first[1:], values[1:], strict=True)
+        ):
+            self._moving.add(child)
 
     def is_known(self, frame: str) -> bool:
         """Return whether a frame has a parent."""
         return frame.strip("/") in self._parents
 
-    def find(self, base: str, frame: str) -> Placed | None:
-        """Return the pose of a frame in the base frame; None while no transforms connect them.
+    def find(self, base: str, frame: str) -> np.ndarray | None:
+        """Return the pose (4, 4) of a frame in the base frame; None while none connect them.
 
         A frame above it with a prefix, as `robot1/base_link`, counts where the base has none.
         """
         here = self._above(frame)
         base = next((above for above in here if above.endswith(f"/{base.strip('/')}")), base)
         there = self._above(base)
-        for above, place in here.items():
+        for above, pose in here.items():
             if above in there:
                 path = [*here][: [*here].index(above)] + [*there][: [*there].index(above)]
                 if moving := self._moving.intersection(path):
@@ -99,21 +86,27 @@ class Transforms:
                         part=TF,
                         advice="use a camera that is fixed on the robot",
                     )
-                turn, shift = there[above]
-                return place.after(Placed(turn.T, -turn.T @ shift))
+                return np.asarray(np.linalg.inv(there[above]) @ pose)
         return None
 
-    def _above(self, frame: str) -> dict[str, Placed]:
+    def _above(self, frame: str) -> dict[str, np.ndarray]:
         """Return the pose of a frame in itself and in each of its ancestors."""
         frame = frame.strip("/")
-        found = {frame: Placed(np.eye(3), np.zeros(3))}
+        found = {frame: np.eye(4)}
         while frame in self._parents:
-            parent, place = self._parents[frame]
+            parent, pose = self._parents[frame]
             if parent in found:
                 raise InputError(f"the frames form a loop through {parent}", part=TF_STATIC)
-            found[parent] = found[frame].after(place)
+            found[parent] = pose @ found[frame]
             frame = parent
         return found
+
+
+def _values(given: Any) -> tuple[str, np.ndarray, np.ndarray]:
+    """Return parent, translation (3,) [m] and quaternion (4,) of a TransformStamped."""
+    shift, q = given.transform.translation, given.transform.rotation
+    parts = np.array([shift.x, shift.y, shift.z]), np.array([q.x, q.y, q.z, q.w], float)
+    return given.header.frame_id.strip("/"), *parts
 
 
 def mount(
@@ -128,7 +121,7 @@ def mount(
     place = transforms.find(frames.base, frames.camera)
     if place is None:
         return None
-    turn, shift = place
+    turn, shift = place[:3, :3], place[:3, 3]
     if axes_of(frames.camera, given) == "optical":
         turn = turn @ BODY_IN_OPTICAL
     # Rz(yaw) Ry(pitch) Rx(roll), as in `tilt_matrix`.
@@ -151,14 +144,6 @@ def mount(
 def not_connected(frames: MountFrames) -> str:
     """Return the message for missing transforms."""
     return f"no transforms on {TF_STATIC} or {TF} connect {frames.camera} to {frames.base}"
-
-
-def _rotation(q: Any) -> np.ndarray:
-    """Return the matrix (3, 3) of a quaternion."""
-    parts = np.array([q.x, q.y, q.z, q.w], float)
-    if not 0.0 < parts @ parts < math.inf:
-        raise InputError("a quaternion is zero or not finite", part=TF_STATIC)
-    return np.asarray(Rotation.from_quat(parts).as_matrix())
 
 
 LINKED = (
@@ -222,43 +207,31 @@ def is_one_camera(place: Pose, is_exact: bool) -> bool:
     return is_exact or math.hypot(place.x, place.y) <= MAX_DISTANCE
 
 
-def _linked(camera: SightingRows, transforms: Transforms) -> Mount | None:
-    """Return the extrinsics if transforms connect the frame of the sightings with the robot.
-
-    Nobody asked for them: None where they cannot be used.
-    """
-    if not camera.frame or not transforms.is_known(camera.frame):
-        return None
-    frames = MountFrames(camera=camera.frame)
-    try:
-        found = mount(transforms, frames, camera.kind, camera.given)
-    except InputError:
-        return None
-    if found is None:
-        return None
-    own, camera.given = found
-    return own
-
-
 def _specified(
     camera: SightingRows, transforms: Transforms, plan: LogSettings, several: bool
 ) -> Mount | None:
     """Return the extrinsics from the topic or the transforms; set the tilt from the latter."""
+    if camera.given.sensor is not None:
+        return camera.given.sensor
     is_given = plan.drive is not None and not plan.drive.sensor.model_fields_set.isdisjoint(
         Mount.model_fields
     )
-    is_found = camera.kind in TRANSFORMS and not is_given  # in the tree of its own frames
-    needs_frames = plan.mount is not None or several
-    if camera.given.sensor is not None or not (needs_frames or is_found):
-        own = camera.given.sensor
-        return own if own is not None or is_given else _linked(camera, transforms)
-    frames = plan.mount or MountFrames()
-    if several or frames.camera is None:
-        frames = frames.model_copy(update={"camera": camera.frame})
-    found = mount(transforms, frames, camera.kind, camera.given)
+    is_tag = camera.kind in TRANSFORMS and not is_given  # in the tree of its own frames
+    if plan.mount is not None or several or is_tag:
+        frames = plan.mount or MountFrames()
+        if several or frames.camera is None:
+            frames = frames.model_copy(update={"camera": camera.frame})
+        found = mount(transforms, frames, camera.kind, camera.given)
+        if found is None and plan.mount is not None and not several:
+            raise InputError(not_connected(frames))
+    elif is_given or not camera.frame or not transforms.is_known(camera.frame):
+        return None
+    else:  # nobody asked for them, so what cannot be used is no error
+        found = None
+        with suppress(InputError):
+            frames = MountFrames(camera=camera.frame)
+            found = mount(transforms, frames, camera.kind, camera.given)
     if found is None:
-        if several or plan.mount is None:
-            return None
-        raise InputError(not_connected(frames))
+        return None
     own, camera.given = found
     return own

@@ -11,7 +11,7 @@ import numpy as np
 
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
-from homeward.drives.measure import motion, with_yaw_rate
+from homeward.drives.measure import motion
 from homeward.drives.plausibility import steps_between, without_implausible
 from homeward.drives.ros.kinds import ODOMETRY
 from homeward.drives.ros.measurements.sightings import frame_of
@@ -27,14 +27,7 @@ from homeward.drives.ros.presets import (
 from homeward.drives.ros.settings import OdometryTopic
 from homeward.drives.ros.stamps import Remarks, clean_rows
 from homeward.drives.ros.wpilog import MODULE_STATES
-from homeward.drives.wheels import (
-    FOUR,
-    OMNI,
-    PAIR,
-    missing_geometry,
-    of_wheels,
-    wheel_speeds,
-)
+from homeward.drives.wheels import FOUR, OMNI, PAIR, missing_geometry, of_wheels, wheel_speeds
 from homeward.errors import InputError
 from homeward.io.table import quoted
 from homeward.odometry.validity import MAX_SPEED, TWIST_VALIDITY_S
@@ -82,8 +75,29 @@ def contradiction(rows: np.ndarray) -> SourceContradiction | None:
     if len(rows) < 3:
         return None
     short, long = (_motions(rows, window) for window in WINDOWS_S)
-    path, turn = (a if _enough(*a[:2]) else b for a, b in zip(short, long, strict=True))
-    return _compare(rows, *path, *turn)
+    twist, pose, odom = (short if _enough(*short[:2]) else long)[:3]
+    path, turn = _relation(twist, pose), _relation(*(short if _enough(*short[3:]) else long)[3:])
+    if "pose" in (path, turn):
+        return SourceContradiction("the poses do not move while the twists do", False)
+    moves = np.maximum(np.abs(twist), np.abs(pose)) > MIN_MOTION
+    residual, in_odom = (np.square(np.abs(p - twist)[moves]).sum() for p in (pose, odom))
+    min_residual = np.square(MIN_RESIDUAL * np.abs(twist[moves])).sum()
+    is_in_odom = _enough(twist, pose) and residual > max(min_residual, BETTER * in_odom)
+    if path is None and turn is None and not is_in_odom:
+        return None
+    speed = np.abs(pose[moves]).sum() / max(np.ptp(rows[:, 0]), 1e-9)
+    if is_in_odom:  # the same motion, also where the robot moves sideways
+        words = "the twists are in the odom frame, not in the robot's"
+        return SourceContradiction(words, bool(speed <= MAX_SPEED))
+    is_coherent = np.square(pose.imag).sum() <= np.square(pose.real).sum()
+    if "twist" in (path, turn):
+        still = " and ".join(n for n, r in (("speed", path), ("yaw rate", turn)) if r == "twist")
+        words = f"the {still} of the twists is zero while the poses move"
+    else:
+        both = ("translation", path), ("rotation", turn)
+        gains = " and ".join(f"{gain} in {what}" for what, gain in both if gain is not None)
+        words = f"the motion of the poses is {gains}"
+    return SourceContradiction(words, bool(is_coherent and speed <= MAX_SPEED))
 
 
 def _enough(twist: np.ndarray, pose: np.ndarray) -> bool:
@@ -91,69 +105,23 @@ def _enough(twist: np.ndarray, pose: np.ndarray) -> bool:
     return bool((np.maximum(np.abs(twist), np.abs(pose)) > MIN_MOTION).sum() >= MIN_WINDOWS)
 
 
-def _motions(
-    rows: np.ndarray, window: float
-) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return translations (of twists, of poses in the robot's and the odom frame) and rotations.
+def _motions(rows: np.ndarray, window: float) -> list[np.ndarray]:
+    """Return the motion in intervals of twists, of poses in the robot's and in the odom frame.
 
-    Translations are complex, forward + i left [m]; arrays have an entry for each interval.
+    Then the rotation of twists and of poses [rad]. Translations are complex, forward + i left [m].
     """
     t, dt = rows[:, 0], np.diff(rows[:, 0])
-    twist = (rows[1:, 1:4] + rows[:-1, 1:4]) / 2 * dt[:, None]
-    forward, sideways, turned = steps_between(rows[:, 4:])
+    forward, turned, left = ((rows[1:, 1:4] + rows[:-1, 1:4]) / 2 * dt[:, None]).T
+    steps = steps_between(rows[:, 4:])
     odom = np.diff(rows[:, 4]) + 1j * np.diff(rows[:, 5])
     # Intervals with a jump of the poses do not count.
-    rates = (np.append(step / dt, 0.0) for step in (forward, turned, sideways))
+    rates = (np.append(steps[k] / dt, 0.0) for k in (0, 2, 1))
     known = without_implausible(Odometry(t, *rates), {}).v[:-1]
     use = np.isfinite(known) & (dt <= 2 * TWIST_VALIDITY_S)
     number = ((t[:-1] - t[0]) / max(window, float(np.median(dt)))).astype(int)
-
-    def summed(steps: np.ndarray) -> np.ndarray:
-        steps = np.where(use, steps, 0)
-        sums = np.bincount(number, steps.real)
-        return sums + 1j * np.bincount(number, steps.imag) if np.iscomplexobj(steps) else sums
-
-    path = twist[:, 0] + 1j * twist[:, 2], forward + 1j * sideways, odom
-    return (summed(path[0]), summed(path[1]), summed(path[2])), (
-        summed(twist[:, 1]),
-        summed(turned),
-    )
-
-
-def _compare(
-    rows: np.ndarray,
-    twist: np.ndarray,
-    pose: np.ndarray,
-    odom: np.ndarray,
-    twist_turn: np.ndarray,
-    pose_turn: np.ndarray,
-) -> SourceContradiction | None:
-    """Compare translations and rotations of intervals."""
-    path, turn = _relation(twist, pose), _relation(twist_turn, pose_turn)
-    if "pose" in (path, turn):
-        return SourceContradiction("the poses do not move while the twists do", False)
-    moves = np.maximum(np.abs(twist), np.abs(pose)) > MIN_MOTION
-    residual, residual_odom = (
-        float(np.square(np.abs(p - twist)[moves]).sum()) for p in (pose, odom)
-    )
-    min_residual = np.square(MIN_RESIDUAL * np.abs(twist[moves])).sum()
-    in_odom = _enough(twist, pose) and residual > max(min_residual, BETTER * residual_odom)
-    if path is None and turn is None and not in_odom:
-        return None
-    coherent = np.square(pose.imag).sum() <= np.square(pose.real).sum()
-    speed = np.abs(pose[moves]).sum() / max(np.ptp(rows[:, 0]), 1e-9)
-    if in_odom:  # the same motion, also where the robot moves sideways
-        words = "the twists are in the odom frame, not in the robot's"
-        return SourceContradiction(words, bool(speed <= MAX_SPEED))
-    usable = bool(coherent and speed <= MAX_SPEED)
-    if "twist" in (path, turn):
-        still = " and ".join(n for n, r in (("speed", path), ("yaw rate", turn)) if r == "twist")
-        return SourceContradiction(
-            f"the {still} of the twists is zero while the poses move", usable
-        )
-    both = ("translation", path), ("rotation", turn)
-    gains = " and ".join(f"{gain} in {what}" for what, gain in both if gain is not None)
-    return SourceContradiction(f"the motion of the poses is {gains}", usable)
+    motions = forward + 1j * left, steps[0] + 1j * steps[1], odom, turned, steps[2]
+    used = (np.where(use, motion, 0j) for motion in motions)
+    return [np.bincount(number, u.real) + 1j * np.bincount(number, u.imag) for u in used]
 
 
 def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:
@@ -269,7 +237,6 @@ class OdometryRows:
         self._given, self._kind = given, kind
         self._joints = JointRows(given) if kind == JOINT_STATE else None
         self._rows: list[tuple[float, ...]] = []
-        self._yaw_rates: list[tuple[float, ...]] = []
         missing = given.missing("m", steers=True) if self._joints is None else self._joints.missing
         if kind == MODULE_STATES:
             missing = ["modules"] if len(given.modules) < 2 else []
@@ -315,24 +282,11 @@ class OdometryRows:
         names = {child, "base_footprint"} if child == "base_link" else {child}
         return frame_of(transform) == parent and transform.child_frame_id.strip("/") in names
 
-    def add_imu(self, t: float, message: Any) -> None:
-        """Add the message of the topic `yaw_rate` of time `t` [s]."""
-        self._yaw_rates.append((t, float(message.angular_velocity.z)))
-
     def odometry(self, remarks: Remarks) -> Odometry:
         """Return the odometry of all messages; `remarks` counts anomalies.
 
-        `InputError` where no message has finite numbers, orientations of the poses are zero, or
-        the topic `yaw_rate` contradicts the odometry.
+        `InputError` where no message has finite numbers, or orientations of the poses are zero.
         """
-        odometry, source = self._without_imu(remarks), self._given.yaw_rate
-        if source is None:
-            return odometry
-        repeats = "yaw rates with the time of another, left out"
-        t, rate = clean_rows(self._yaw_rates, source, "yaw rates", repeats, remarks).T
-        return with_yaw_rate(odometry, t, rate, source, remarks)
-
-    def _without_imu(self, remarks: Remarks) -> Odometry:
         if not self._rows:
             problem, advice = "no message contains odometry", None
             if self._kind in TRANSFORMS:

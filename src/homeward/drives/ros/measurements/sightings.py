@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeAlias
 
@@ -319,30 +319,24 @@ class SightingRows:
         """
         values = self._values()
         lens = self._model() if self.form in ("pixel", "corners") else None
-        if lens is not None and self.form == "pixel" and self._are_shares(values):
-            values = lens.in_pixels(values)
-            self._remarks.count(SHARES, len(self))
+        if lens is not None and self.form == "pixel" and len(self):
+            points = np.stack([values[role] for role in ROLES["pixel"]])
+            if points.min() >= 0.0 and points.max() <= 1.0:
+                values = lens.in_pixels(values)
+                self._remarks.count(SHARES, len(self))
         found = bearings(values, lens)
-        unknown = np.full(len(self), np.nan)
-        bearing, sigma = found["bearing"], found.get("sigma", unknown)
+        unknown = dict.fromkeys(("elevation", "sigma", "range"), np.full(len(self), np.nan))
+        columns = {"t": np.array(self._t, float), "landmark": np.array(self._names, object)}
+        columns |= unknown | {"camera": np.full(len(self), self.camera, object)} | found
         if self.form != "position" and self.in_reference.heading:  # otherwise unchanged
-            bearing = bearing + self.in_reference.heading
+            columns["bearing"] = columns["bearing"] + self.in_reference.heading
         if self.given.sigma is not None:
-            sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
-        ids = np.array(self._names, object)
-        columns = {"t": np.array(self._t, float), "landmark": ids}
-        columns |= {"bearing": bearing, "elevation": found.get("elevation", unknown)}
-        columns |= {"sigma": sigma, "range": found.get("range", unknown)}
-        columns["camera"] = np.full(len(ids), self.camera, object)
+            sigma = columns["sigma"]
+            columns["sigma"] = np.where(np.isnan(sigma), self.given.sigma, sigma)
         # A lens model has no ray for pixels beyond its valid range.
-        is_valid = np.isfinite(bearing)
+        is_valid = np.isfinite(columns["bearing"])
         self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
         return {name: values[is_valid] for name, values in columns.items()}
-
-    def _are_shares(self, values: Mapping[str, np.ndarray]) -> bool:
-        """Whether pixels are shares of the size of the image."""
-        points = np.stack([values[role] for role in ROLES["pixel"]])
-        return bool(points.size and points.min() >= 0.0 and points.max() <= 1.0)
 
     def _values(self) -> dict[str, np.ndarray]:
         """Return what the messages contain, by role; points in the frame of the reference camera.
