@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from benchmarks.inputs.kinds import KINDS, Sample
 from homeward.cli.main import app
-from homeward.drives.importers.sheet import names, number_parser
-from homeward.io.table import read_csv
+from homeward.drives.importers.sheet import names
+from homeward.io.table import numbers_or_nan, read_csv
 
 MAX_ERROR = 0.15
 """Maximum position error at the median time [m]; that of the plain tables is 0.05 m."""
@@ -86,7 +86,7 @@ def _difference(folder: Path) -> str:
     """Return the position error of a run and its moved landmarks, and whether these are right."""
     found = read_csv(folder / "landmarks.csv", {"landmark": names, "moved": names})
     moved = {re.sub(r"\D", "", n) for n in found["landmark"][found["moved"] == "yes"]}
-    pose = read_csv(folder / "estimate.csv", dict.fromkeys("txy", number_parser(False)))
+    pose = read_csv(folder / "estimate.csv", dict.fromkeys("txy", numbers_or_nan))
     t = pose["t"] - pose["t"][0]
     true = sample().truth.at(t)
     error = np.hypot(pose["x"] - true.x, pose["y"] - true.y)

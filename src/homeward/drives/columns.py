@@ -168,18 +168,8 @@ PER = "per"
 """Left out of names, as of ``m_per_s``."""
 ROTATIONAL = {"angular", "ang", "yaw", "gyro", "turn", "steering"}
 NO_PLACE = UNUSED | ROTATIONAL | {*ROTATIONS, "rvec", "rot", "linear", "velocity", "vel", "speed"}
-NO_PLACE |= {
-    "twist",
-    "size",
-    "scale",
-    "dimension",
-    "dimensions",
-    "extent",
-    "normal",
-    "rpy",
-    "euler",
-}
-NO_PLACE |= {"color", "colour", "variance", "sigma", "std", "error"}
+NO_PLACE |= {"twist", "size", "scale", "dimension", "dimensions", "extent", "normal", "rpy"}
+NO_PLACE |= {"euler", "color", "colour", "variance", "sigma", "std", "error"}
 NO_LANDMARK = {"camera", "robot", "sensor", "device", "session", "map", "goal", "request", "track"}
 EXCLUDED = dict.fromkeys(("v", "vy"), UNUSED | ROTATIONAL) | dict.fromkeys("xyz", NO_PLACE)
 EXCLUDED["landmark"] = UNUSED | NO_LANDMARK
@@ -188,10 +178,6 @@ _OF_PIXELS = ("pixel", "px", "image")
 """Words in names of columns of pixels."""
 TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
 """Matches the name of a file or topic with ground-truth poses, in small letters."""
-NO_MATCH = (0, 0)
-"""Score of a name that does not match a role."""
-
-
 JOINS = {
     "ends": "({} + {}) / 2",
     "middle": "{}",
@@ -279,9 +265,8 @@ def _specified(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Col
         if not equals or not name.lstrip("-"):
             raise InputError("must have the form ROLE=COLUMN[UNIT]", part=f"--columns {text}")
         if role not in ROLES:
-            raise InputError(
-                f"the role must be one of {', '.join(ROLES)}", part=f"--columns {text}"
-            )
+            problem = f"the role must be one of {', '.join(ROLES)}"
+            raise InputError(problem, part=f"--columns {text}")
         known = [names for name, names in there.items() if only in (None, name)]
         units, sign = UNITS[ROLES[role][0]], -1.0 if name.startswith("-") else 1.0
         name = name.removeprefix("-")
@@ -290,10 +275,8 @@ def _specified(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Col
         if bracketed and not any(name in names for names in known):
             name, unit = bracketed[1], _unit(bracketed[2])
             if unit not in units:
-                raise InputError(
-                    f"units of {role} are {', '.join(units) or 'not allowed'}",
-                    part=f"--columns {text}",
-                )
+                problem = f"units of {role} are {', '.join(units) or 'not allowed'}"
+                raise InputError(problem, part=f"--columns {text}")
         if not any(name in names for names in known):
             raise InputError(f"no file has a column {name!r}", part=f"--columns {text}")
         yield Column(role, name, unit, sign, is_specified=True, file=only)
@@ -326,10 +309,8 @@ def assigned(
         found[role] = Column(role, likeliest[0], unit_in(likeliest[0], ROLES[role][0]))
         taken.add(likeliest[0])
     for role, one, other in ambiguous:
-        raise InputError(
-            f"{one!r} and {other!r} may both be {role}",
-            advice=f"use --columns '{role}={one}' or '{role}={other}'",
-        )
+        advice = f"use --columns '{role}={one}' or '{role}={other}'"
+        raise InputError(f"{one!r} and {other!r} may both be {role}", advice=advice)
     return found
 
 
@@ -371,9 +352,9 @@ def times_in(names: Sequence[str], specified: Sequence[Column]) -> Column | None
 
 def best_names(role: str, names: Sequence[str]) -> list[str]:
     """Return the names with the best match of a role; empty without a match."""
-    scores = {name: _score(name, role) for name in names}
-    best = max(scores.values(), default=NO_MATCH)
-    return [] if best == NO_MATCH else [name for name, score in scores.items() if score == best]
+    found = {name: scores(name)[role] for name in names if role in scores(name)}
+    best = max(found.values(), default=None)
+    return [name for name, score in found.items() if score == best]
 
 
 def _combined(names: Sequence[str]) -> Iterator[Column]:
@@ -445,23 +426,13 @@ def _unit(text: str) -> str:
     return _SPELT.get(plain, _SPELT.get(text.strip().lower(), plain))
 
 
-def matches(name: str, role: str) -> bool:
-    """Whether a name contains a word for a role."""
-    return _score(name, role) != NO_MATCH
-
-
 def may_be(role: str, name: str) -> bool:
     """Whether a column could have a role: its name shows no other role and no other unit."""
     mine, words = ROLES[role][0], set(words_in(name))
     is_of_other = any(unit_in(name, quantity) for quantity in UNITS) and not unit_in(name, mine)
     is_of_other |= mine != "pixel" and not words.isdisjoint(_OF_PIXELS)
     is_of_other |= not words.isdisjoint(UNUSED)
-    return not is_of_other and (matches(name, role) or not has_role(name))
-
-
-def has_role(name: str) -> bool:
-    """Whether a name contains a word for any role."""
-    return bool(_scores(name))
+    return not is_of_other and (role in scores(name) or not scores(name))
 
 
 def ending(path: str, role: str) -> str | None:
@@ -469,19 +440,14 @@ def ending(path: str, role: str) -> str | None:
     parts = path.split(".")
     for k in range(len(parts)):
         name = ".".join(parts[k:])
-        if _score(name, role) == (number := len(words_in(name)), -number):
+        if scores(name).get(role) == (number := len(words_in(name)), -number):
             return ".".join(parts[:k])
     return None
 
 
-def _score(name: str, role: str) -> tuple[float, int]:
-    """Return the match of a name with a role: number of matching words, minus all its words."""
-    return _scores(name).get(role, NO_MATCH)
-
-
 @lru_cache(maxsize=2**15)
-def _scores(name: str) -> dict[str, tuple[float, int]]:
-    """Return `_score` of all roles that match a name."""
+def scores(name: str) -> Mapping[str, tuple[float, int]]:
+    """Return the match of a name with each of its roles: matching words, minus all its words."""
     words = words_in(name)
     if wheels := wheel_roles(words):
         return {role: (1, -len(words)) for role in wheels}

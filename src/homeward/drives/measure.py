@@ -22,7 +22,7 @@ from homeward.drives.cameras.camera import (
 from homeward.drives.drive import Odometry, Sightings, Tilt
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.settings import DriveSettings, Wheels
-from homeward.drives.wheels import ackermann, swerve
+from homeward.drives.wheels import swerve
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.odometry.validity import TWIST_VALIDITY_S
@@ -37,7 +37,9 @@ def motion(values: Mapping[str, np.ndarray], wheels: Wheels, remarks: dict[str, 
     """
     t = values["t"]
     if "steering" in values:
-        return ackermann(t, values["v"], values["steering"], wheels, remarks)
+        # The speed is that of the rear axle's centre, and steering is positive to the left.
+        omega = values["v"] * np.tan(values["steering"]) / (wheels.wheelbase or math.nan)
+        return without_implausible(Odometry(t, values["v"], omega), remarks)
     if "module_1_speed" in values:
         speeds, angles = (
             np.stack([values[f"module_{k + 1}_{what}"] for k in range(len(wheels.modules))], axis=1)
@@ -117,9 +119,8 @@ def with_yaw_rate(
     gyro = _mean_rates(odometry.t, t, rate)
     used = np.isfinite(gyro)
     if not used.any():
-        raise InputError(
-            f"{source} has no yaw rate during the odometry", advice="use stamps of one clock"
-        )
+        advice = "use stamps of one clock"
+        raise InputError(f"{source} has no yaw rate during the odometry", advice=advice)
     factor, how = _factor(odometry, t, rate, source, list(UNITS)[: 1 + may_be_deg])
     remarks[REPLACED.format(source, how)] = int(used.sum())
     if not used.all():
@@ -160,9 +161,8 @@ def _factor(
     if own.size < MIN_WINDOWS or own.std() < MIN_TURN_RATE * WINDOW_S:
         return 1.0, NOT_COMPARED
     if gyro.std() == 0:
-        raise InputError(
-            "the yaw rate is constant, but the odometry turns", part=source, advice="leave it out"
-        )
+        problem = "the yaw rate is constant, but the odometry turns"
+        raise InputError(problem, part=source, advice="leave it out")
     correlation = float(np.corrcoef(own, gyro)[0, 1])
     ratio = own.std() / gyro.std()
     unit = min(units, key=lambda u: abs(math.log(ratio / u)))
@@ -174,11 +174,9 @@ def _factor(
             "odometry's clock, or leave it out",
         )
     if not 1 / MAX_RATIO < ratio / unit < MAX_RATIO:
-        raise InputError(
-            f"the yaw rate of the odometry is {ratio:.3g} x this one",
-            part=source,
-            advice="convert it to rad/s, correct the track width of the odometry, or leave it out",
-        )
+        problem = f"the yaw rate of the odometry is {ratio:.3g} x this one"
+        advice = "convert it to rad/s, correct the track width of the odometry, or leave it out"
+        raise InputError(problem, part=source, advice=advice)
     inverted = ", with the sign inverted" if correlation < 0 else ""
     fit = f"correlation {abs(correlation):.2f}, {ratio / unit:.3g} x they fit the odometry"
     how = f"{fit}{UNITS[unit]}{inverted}"

@@ -155,11 +155,7 @@ def missing_geometry(wheels: Wheels, names: Sequence[str], unit: str) -> list[st
 
 
 def of_wheels(
-    t: np.ndarray,
-    speeds: np.ndarray,
-    names: Sequence[str],
-    wheels: Wheels,
-    remarks: dict[str, int],
+    t: np.ndarray, speeds: np.ndarray, names: Sequence[str], wheels: Wheels, remarks: dict[str, int]
 ) -> Odometry:
     """Return the odometry of wheel speeds (n, k) [m/s]; implausible motion is unknown.
 
@@ -209,18 +205,6 @@ def swerve(
     rolled = np.concatenate([speeds * np.cos(angles), speeds * np.sin(angles)], axis=1)
     v, vy, omega = np.linalg.pinv(by_twist) @ rolled.T
     return without_implausible(Odometry(t, v, omega, vy), remarks)
-
-
-def ackermann(
-    t: np.ndarray, v: np.ndarray, steering: np.ndarray, wheels: Wheels, remarks: dict[str, int]
-) -> Odometry:
-    """Return the odometry of a car-like robot; implausible motion is unknown.
-
-    `v` (n,) is the speed of the rear axle's centre [m/s], `steering` (n,) the angle of the front
-    wheels, positive to the left [rad]. Requires `wheels.wheelbase`.
-    """
-    omega = v * np.tan(steering) / (wheels.wheelbase or math.nan)
-    return without_implausible(Odometry(t, v, omega), remarks)
 
 
 def _unwrapped(

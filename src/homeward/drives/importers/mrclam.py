@@ -47,15 +47,25 @@ def read_mrclam(
     noise with a standard deviation of `home_noise` [rad] from a `seed`.
     """
     folder = Path(path)
-    _check_arguments(home, home_noise, seed)
+    if not all(math.isfinite(value) for value in home):
+        raise InputError("home must be three finite numbers: x [m], y [m], heading [rad]")
+    if not (math.isfinite(home_noise) and home_noise >= 0):
+        raise InputError(f"home noise must be finite and not negative, not {home_noise}")
+    if seed < 0:
+        raise InputError(f"seed must not be negative, not {seed}")
     require_folder(folder)
     if not is_there(folder / f"Robot{robot}_Odometry.dat"):
-        raise InputError(
-            f"no robot {robot} in it", folder, advice=f"choose one of: {robots_in(folder)}"
-        )
-    landmarks = _read_landmarks(folder / "Landmark_Groundtruth.dat")
-    subjects = _read_barcodes(folder / BARCODES)
-    remarks: dict[str, int] = {}
+        advice = f"choose one of: {robots_in(folder)}"
+        raise InputError(f"no robot {robot} in it", folder, advice=advice)
+    survey, numbers = _by_subject(
+        folder / "Landmark_Groundtruth.dat", ("subject", "x", "y", "x_sigma", "y_sigma")
+    )
+    places = zip(survey["x"].tolist(), survey["y"].tolist(), strict=True)
+    landmarks = dict(sorted(zip(numbers, places, strict=True)))
+    barcodes, owners = _by_subject(folder / BARCODES, ("subject", "barcode"))
+    barcodes.require_unique("barcode")
+    subjects = dict(zip(_whole(barcodes, "barcode"), owners, strict=True))
+    truth, remarks = folder / f"Robot{robot}_Groundtruth.dat", dict[str, int]()
     drive = Drive(
         name=f"{folder.resolve().name}-robot{robot}",
         odometry=odometry_of(
@@ -67,19 +77,10 @@ def read_mrclam(
         ),
         home=_home_bearings(landmarks, home, home_noise, seed),
         settings=DriveSettings(sensor=Sensor(x=0.0, y=0.0, yaw=0.0)),
-        truth=_read_truth(folder / f"Robot{robot}_Groundtruth.dat", home, remarks),
+        truth=_read_truth(truth, home, remarks) if is_there(truth) else None,
         remarks=remarks,
     )
     return with_clock_remarks(drive, folder)
-
-
-def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
-    if not all(math.isfinite(value) for value in home):
-        raise InputError("home must be three finite numbers: x [m], y [m], heading [rad]")
-    if not (math.isfinite(home_noise) and home_noise >= 0):
-        raise InputError(f"home noise must be finite and not negative, not {home_noise}")
-    if seed < 0:
-        raise InputError(f"seed must not be negative, not {seed}")
 
 
 def mrclam_command(folder: Path) -> str:
@@ -96,25 +97,12 @@ def robots_in(folder: Path) -> str:
     return ", ".join(robots) or "none"
 
 
-def _read_landmarks(path: Path) -> dict[int, tuple[float, float]]:
-    """Read the surveyed (x, y) [m] of each landmark, in order of subject."""
-    table = read_columns(path, ("subject", "x", "y", "x_sigma", "y_sigma"))
+def _by_subject(path: Path, names: tuple[str, ...]) -> tuple[Table, list[int]]:
+    """Return a table with a row for each subject, and the subjects."""
+    table = read_columns(path, names)
     table.require_rows()
     table.require_unique("subject")
-    subjects = _whole(table, "subject")
-    places = dict(
-        zip(subjects, zip(table["x"].tolist(), table["y"].tolist(), strict=True), strict=True)
-    )
-    return dict(sorted(places.items()))
-
-
-def _read_barcodes(path: Path) -> dict[int, int]:
-    """Read the subject of each barcode."""
-    table = read_columns(path, ("subject", "barcode"))
-    table.require_rows()
-    table.require_unique("subject")
-    table.require_unique("barcode")
-    return dict(zip(_whole(table, "barcode"), _whole(table, "subject"), strict=True))
+    return table, _whole(table, "subject")
 
 
 def _read_sightings(
@@ -145,9 +133,7 @@ def _home_bearings(
     return {str(i): HomeBearing(b, known) for i, b in zip(landmarks, seen, strict=True)}
 
 
-def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None:
-    if not is_there(path):
-        return None
+def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth:
     table = read_columns(path, ("t", "x", "y", "heading"), remarks)
     return samples_of(Truth, table, remarks).seen_from(home)
 

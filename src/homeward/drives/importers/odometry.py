@@ -47,12 +47,9 @@ def imported_odometry(one: Imported, wheels: Wheels, remarks: dict[str, int]) ->
     """
     by_role, table = one.columns, one.table
     if wheels != Wheels() and not by_role.keys() & {*WHEELS, *MODULES, "steering"}:
-        raise InputError(
-            "not needed: the odometry does not come from wheels",
-            table.file,
-            part="--wheels",
-            advice="leave it out, or give columns, as in --columns 'left_wheel=A, right_wheel=B'",
-        )
+        problem = "not needed: the odometry does not come from wheels"
+        advice = "leave it out, or give columns, as in --columns 'left_wheel=A, right_wheel=B'"
+        raise InputError(problem, table.file, part="--wheels", advice=advice)
     table = sorted_by_time(table, "odometry", remarks)
     for role in [role for role in table.columns if role.endswith("_step")] + ["distance", "turn"]:
         if role in table.columns:  # repeated times must lose no step
@@ -103,11 +100,9 @@ def _of_wheels(
             ", ".join(f"{w}_{what}={c.name}" for w, c in zip(names, columns, strict=True))
             for what in ("step", "wheel")
         )
-        raise InputError(
-            f"{name!r} and {right.name!r} do not accumulate",
-            table.file,
-            advice=f"use --columns '{steps}' for steps from row to row, otherwise '{positions}'",
-        )
+        problem = f"{name!r} and {right.name!r} do not accumulate"
+        advice = f"use --columns '{steps}' for steps from row to row, otherwise '{positions}'"
+        raise InputError(problem, table.file, advice=advice)
     if names != PAIR:
         return of_wheels(t, speeds, names, wheels, remarks)
     moving = np.hypot(*speeds.T) > 0.0
@@ -126,8 +121,5 @@ def _require(missing: Sequence[str], columns: Iterable[Column], table: Table) ->
     if missing:
         names = " and ".join(f"{c.name!r} [{c.unit}]" for c in columns)
         example = ",".join(f"{key}={EXAMPLE[key]}" for key in missing)
-        raise InputError(
-            f"odometry from {names} requires {', '.join(missing)} (SI units)",
-            table.file,
-            advice=f"give them, as in --wheels {example}",
-        )
+        problem = f"odometry from {names} requires {', '.join(missing)} (SI units)"
+        raise InputError(problem, table.file, advice=f"give them, as in --wheels {example}")

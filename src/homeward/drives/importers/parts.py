@@ -9,24 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from homeward.drives.columns import (
-    KINDS,
-    OPTIONAL,
-    UNITS,
-    Column,
-    foreign_unit,
-    words_in,
-)
+from homeward.drives.columns import KINDS, OPTIONAL, UNITS, Column, foreign_unit, words_in
 from homeward.drives.folder import sorted_by_time
-from homeward.drives.importers.pixels import (
-    PIXEL_ROLES,
-    Pixels,
-)
-from homeward.drives.importers.positions import (
-    MAX_LENGTH,
-    POSITION_ROLES,
-    Axes,
-)
+from homeward.drives.importers.pixels import PIXEL_ROLES, Pixels
+from homeward.drives.importers.positions import MAX_LENGTH, POSITION_ROLES, Axes
 from homeward.drives.importers.sheet import Sheet
 from homeward.drives.importers.wide import long
 from homeward.drives.wheels import base_of, guessed_unit
@@ -52,21 +38,6 @@ MAX_RATE = 2000.0
 """Rows a second beyond which stamps have another unit than those of the odometry."""
 MAX_TILT = 0.5
 """Roll and pitch without a unit beyond it may be in degrees [rad]."""
-
-
-@dataclass(frozen=True)
-class OdometryStamps:
-    """Stamps of odometry."""
-
-    unit: str
-    t: np.ndarray
-    """(n,), sorted [s]."""
-
-    def fit(self, t: np.ndarray) -> tuple[bool, float]:
-        """Return whether rows at `t` [s] have a rate below `MAX_RATE`, and their share in it."""
-        steps = np.diff(np.unique(t))
-        inside = (t >= self.t[0]) & (t <= self.t[-1])
-        return steps.size == 0 or float(np.median(steps)) > 1 / MAX_RATE, float(inside.mean())
 
 
 @dataclass(frozen=True)
@@ -141,10 +112,11 @@ class Part:
         table, _ = self._plain()
         return len(table) > 0 and all(abs(table[role][0]) < 1e-3 for role in ("x", "y", "heading"))
 
-    def read(self, clock: OdometryStamps | None, angle: str | None = None) -> Imported:
+    def read(self, clock: Imported | None, angle: str | None = None) -> Imported:
         """Read the table in SI units.
 
-        `clock` is that of the odometry, `angle` the unit of bearings where the file specifies none.
+        `clock` has the stamps of the odometry. `angle` is the unit of bearings where the file
+        specifies none.
         """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
         values, columns = dict(table.columns), dict[str, Column]()
@@ -196,7 +168,8 @@ class Part:
         needed = [role for role in self.columns if role not in OPTIONAL["bearings"]]
         if "landmark" in needed and not (raw["landmark"] != "").any():  # without ids
             needed.remove("landmark")
-        given = np.stack([_has_value(raw[role]) for role in needed])
+        values = (raw[role] for role in needed)
+        given = np.stack([v != "" if v.dtype == object else np.isfinite(v) for v in values])
         complete, partial = given.all(axis=0), given.any(axis=0)
         if partial.any() and not complete.any():
             raise InputError(f"no row has values for all of {', '.join(needed)}", raw.file)
@@ -212,7 +185,7 @@ class Part:
 
 
 def _unit(
-    table: Table, column: Column, clock: OdometryStamps | None, angle: str | None
+    table: Table, column: Column, clock: Imported | None, angle: str | None
 ) -> tuple[str, str]:
     """Return the unit of a column and its source; `InputError` where a guess would be unsafe."""
     values = np.abs(table[column.role][np.isfinite(table[column.role])])
@@ -225,11 +198,15 @@ def _unit(
         raise column.unit_error(problem, table.file, column.si, first="convert the column, or ")
     if column.quantity == "time":
         # Two programs may write the stamps of one clock in different units.
-        own = _unix_unit(t := table["t"])
+        t = table["t"]
+        middle = float(np.median(t)) if t.size else 0.0
+        is_unix = {u: UNIX_S[0] <= middle * s < UNIX_S[1] for u, s in UNITS["time"].items()}
+        own = next((u for u, is_it in is_unix.items() if is_it), None)
         guess = own or _clock(t)
         if own is None and clock is not None and t.size:
-            mine, other = (clock.fit(UNITS["time"][u] * t) for u in (clock.unit, guess))
-            return (clock.unit, "as odometry") if mine >= other else (guess, "guessed")
+            usual = str(clock.columns["t"].unit)
+            mine, other = (_fit(UNITS["time"][u] * t, clock.table["t"]) for u in (usual, guess))
+            return (usual, "as odometry") if mine >= other else (guess, "guessed")
         return guess, "guessed"
     if column.role == "sigma" and angle:
         return angle, "as bearing"
@@ -294,11 +271,11 @@ def _heading_unit(x: np.ndarray, y: np.ndarray, heading: np.ndarray) -> str | No
     return best if fit[best] > MIN_FIT and fit[other] < fit[best] - 0.2 else None
 
 
-def _unix_unit(t: np.ndarray) -> str | None:
-    """Return the unit in which stamps are Unix time; None if there is none."""
-    middle = float(np.median(t)) if t.size else 0.0
-    units = UNITS["time"].items()
-    return next((u for u, s in units if UNIX_S[0] <= middle * s < UNIX_S[1]), None)
+def _fit(t: np.ndarray, odometry: np.ndarray) -> tuple[bool, float]:
+    """Return whether rows have a rate below `MAX_RATE`, and their share during the odometry."""
+    steps = np.diff(np.unique(t))
+    inside = (t >= odometry[0]) & (t <= odometry[-1])
+    return steps.size == 0 or float(np.median(steps)) > 1 / MAX_RATE, float(inside.mean())
 
 
 def _clock(t: np.ndarray) -> str:
@@ -308,8 +285,3 @@ def _clock(t: np.ndarray) -> str:
     return next(
         (unit for unit, seconds in UNITS["time"].items() if step * seconds <= TWIST_VALIDITY_S), "s"
     )
-
-
-def _has_value(values: np.ndarray) -> np.ndarray:
-    """Return which cells have a value, shape (n,)."""
-    return np.asarray(values != "" if values.dtype == object else np.isfinite(values))

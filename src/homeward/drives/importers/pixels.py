@@ -15,12 +15,7 @@ from itertools import chain, product
 import numpy as np
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.columns import (
-    KINDS,
-    Column,
-    assigned,
-    words_in,
-)
+from homeward.drives.columns import KINDS, Column, assigned, words_in
 from homeward.drives.importers.sheet import Sheet
 from homeward.drives.measure import bearings
 from homeward.drives.ros.settings import BearingsTopic
@@ -163,16 +158,15 @@ def pixel_columns(
         if found and "z" not in found:
             columns = {role: c for role, c in found.items() if role not in roles}
             columns |= {p: replace(found[r], role=p) for p, r in zip(POINT, roles, strict=True)}
-            if roles == ("cx", "cy") or _are_pixels(one, columns | intrinsics, cameras):
+            are_pixels = roles == ("cx", "cy")
+            if not are_pixels and (cameras or "fx" in intrinsics):
+                table = _read(one, columns | intrinsics)
+                are_pixels = _problem(table, _lenses(table, cameras)) is None
+            if are_pixels:
                 if any("w" in words_in(name) for name in free):
                     raise _doubtful(one, (found[role].name for role in roles))
                 return columns | intrinsics
     return point | intrinsics if point and (cameras or intrinsics) else None
-
-
-def has_intrinsics(tables: Mapping[str, dict[str, Column] | None], cameras: Calibrations) -> bool:
-    """Whether there are tables of pixels, and their intrinsics are known."""
-    return any(found and (cameras or "fx" in found) for found in tables.values())
 
 
 def with_pixels(
@@ -299,14 +293,6 @@ def _is_inside(one: Sheet, columns: dict[str, Column], cameras: Calibrations) ->
     return True
 
 
-def _are_pixels(one: Sheet, columns: Mapping[str, Column], cameras: Calibrations) -> bool:
-    """Whether there are intrinsics, and the values are pixels of the camera's image."""
-    if not cameras and "fx" not in columns:
-        return False
-    table = _read(one, columns)
-    return _problem(table, _lenses(table, cameras)) is None
-
-
 def _read(one: Sheet, columns: Mapping[str, Column]) -> Table:
     """Read the columns of pixels and intrinsics, and the names of cameras, by role."""
     used = {r: c for r, c in columns.items() if c.quantity == "pixel" or r == "camera"}
@@ -351,7 +337,7 @@ def _lens_of(table: Table) -> Lens:
             table.require(role, same, "must be the same in all rows of a camera, not {}")
     known.setdefault("fy", known["fx"])
     if "cy" not in known:  # the bearing of a level camera does not depend on it
-        rows = _pixels(table)[1]
+        rows = _pixels(table.columns)[1]
         known["cy"] = 0.5 * float(np.nanmin(rows, initial=0.0) + np.nanmax(rows, initial=0.0))
     return validated(Lens, known, table.file)
 
@@ -367,13 +353,13 @@ def _seen(column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(absent, np.nan, column), np.where(absent, np.nan, row)
 
 
-def _pixels(table: Table) -> tuple[np.ndarray, np.ndarray]:
+def _pixels(values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return columns and rows, (n, 1) or (n, 4), NaN for landmarks out of view [px]."""
-    if "row0" in table.columns:
-        u, v = np.moveaxis(_corners(table.columns), -1, 0)
+    if "row0" in values:
+        u, v = np.moveaxis(_corners(values), -1, 0)
     else:
-        u = table["column"][:, None]
-        v = table["row"][:, None] if "row" in table.columns else np.full_like(u, np.nan)
+        u = values["column"][:, None]
+        v = values["row"][:, None] if "row" in values else np.full_like(u, np.nan)
     return _seen(u, v)
 
 
@@ -387,9 +373,8 @@ def _order(table: Table) -> tuple[int, ...]:
             along = np.stack([_cross(b - a, d - b), _cross(b - a, c - a)]) / _cross(c - a, d - b)
         shares.append(float(np.mean(((along > 0) & (along < 1)).all(axis=0))))
     if max(shares) < MIN_SHARE * np.isfinite(corners).all(axis=(1, 2)).mean():
-        raise InputError(
-            "corners are in no order round the tags", table.file, advice="check their columns"
-        )
+        advice = "check their columns"
+        raise InputError("corners are in no order round the tags", table.file, advice=advice)
     return ORDERS[int(np.argmax(shares))]
 
 
@@ -399,35 +384,28 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _problem(table: Table, lenses: Calibrations, is_share: bool = False) -> InputError | None:
     """Return the error of values that are no pixels of their camera's image; None if they are."""
-    parts = [(table.rows(use), lenses[name]) for name, use in _by_camera(table.columns)]
-    if is_share:
-        parts = [(replace(p, columns=lens.in_pixels(p.columns)), lens) for p, lens in parts]
-    found = (_problem_of_one(part, lens) for part, lens in parts)
-    return next((problem for problem in found if problem), None)
-
-
-def _problem_of_one(table: Table, lens: Lens) -> InputError | None:
-    """Return what `_problem` returns, of the rows of one camera."""
-    u, v = _pixels(table)
-    width, height = lens.width or 2.0 * lens.cx, lens.height or 2.0 * lens.cy
-    share = np.stack([u / width, v / height])
-    image = f"{width:g}x{height:g}"
-    outside = ((share < -MARGIN) | (share > 1 + MARGIN)).any(axis=0)
-    if outside.any():
-        k, corner = np.argwhere(outside)[0]
-        place = f"({u[k, corner]:g}, {v[k, corner]:g})"
-        problem = f"the pixel {place} is outside the calibrated image, {image}"
-        row, advice = int(table.row[k]), "calibrate for the size of the images"
+    for name, use in _by_camera(table.columns):
+        lens, part = lenses[name], table.rows(use)
+        u, v = _pixels(lens.in_pixels(part.columns) if is_share else part.columns)
+        width, height = lens.width or 2.0 * lens.cx, lens.height or 2.0 * lens.cy
+        share = np.stack([u / width, v / height])
+        image, row, advice = f"{width:g}x{height:g}", None, "calibrate for the size of the images"
+        outside = ((share < -MARGIN) | (share > 1 + MARGIN)).any(axis=0)
+        reach = float(np.nanmax(share, initial=0.0))
+        if outside.any():
+            k, corner = np.argwhere(outside)[0]
+            place, row = f"({u[k, corner]:g}, {v[k, corner]:g})", int(part.row[k])
+            problem = f"the pixel {place} is outside the calibrated image, {image}"
+        elif not np.isfinite(u).any():
+            continue
+        elif reach < MIN_REACH:
+            largest = np.nanmax([u, v], initial=0.0)
+            problem = f"values up to {largest:g} are no pixels of an image of {image}"
+            advice = "give pixels"
+        elif lens.width and reach < QUARTER and len(part) >= MIN_ROWS:
+            problem = f"all pixels are in the first quarter of the calibrated image, {image}"
+            advice += ", or remove the size from the calibration"
+        else:
+            continue
         return InputError(problem, table.file, row, advice=advice)
-    reach = float(np.nanmax(share, initial=0.0))
-    if not np.isfinite(u).any():
-        return None
-    if reach < MIN_REACH:
-        largest = np.nanmax([u, v], initial=0.0)
-        problem = f"values up to {largest:g} are no pixels of an image of {image}"
-        return InputError(problem, table.file, advice="give pixels")
-    if lens.width and reach < QUARTER and len(table) >= MIN_ROWS:
-        problem = f"all pixels are in the first quarter of the calibrated image, {image}"
-        advice = "calibrate for the size of the images, or remove the size from the calibration"
-        return InputError(problem, table.file, advice=advice)
     return None

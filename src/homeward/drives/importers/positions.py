@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.drives.columns import KINDS, UNITS, Column, assigned, matches, may_be, words_in
+from homeward.drives.columns import KINDS, UNITS, Column, assigned, may_be, scores, words_in
 from homeward.drives.importers.sheet import Sheet
 from homeward.drives.measure import bearings
 from homeward.errors import InputError
@@ -35,6 +35,7 @@ MIN_RATIO = 3.0
 """Minimum ratio of the spread of horizontal coordinates to that of the vertical one."""
 MIN_SHARE = 0.9
 """Minimum share of landmarks in front of a camera."""
+FRAME_ID = ("frame", "id")
 ROBOT_FRAMES = re.compile("base|robot|body|chassis")
 FIXED_FRAMES = ("map", "odom", "world", "earth")
 """Frames that do not move with the robot (REP 105)."""
@@ -73,9 +74,8 @@ def position_columns(
     """Return the columns of detections or home bearings given as positions; None without them."""
     given = {c.role for c in specified if c.name in names}.intersection(POSITION_ROLES)
     if given and ("forward" not in given or len(given) != 2):
-        raise InputError(
-            "a position requires the role forward and either left or right", part="--columns"
-        )
+        problem = "a position requires the role forward and either left or right"
+        raise InputError(problem, part="--columns")
     required = [role for role in KINDS[kind] if role != "bearing"]
     places = [place for place in PLACES if given <= set(place)]
     optional = ("z", "camera", "up")
@@ -88,10 +88,8 @@ def position_columns(
     chosen = [c for r, c in (columns or {}).items() if r in AXIS_ROLES and not c.is_specified]
     if len({_point(c.name, c.role) for c in chosen}) > 1:
         shown = " and ".join(repr(c.name) for c in chosen)
-        raise InputError(
-            f"{shown} may belong to different points",
-            advice="give the position, as in --columns 'forward=COLUMN, left=COLUMN'",
-        )
+        advice = "give the position, as in --columns 'forward=COLUMN, left=COLUMN'"
+        raise InputError(f"{shown} may belong to different points", advice=advice)
     return columns
 
 
@@ -121,7 +119,7 @@ def points_in(names: Sequence[str]) -> dict[str, list[str]]:
     """Return the names of the coordinates of each point, by its name without an axis."""
     points: dict[str, list[str]] = {}
     for name in names:
-        for axis in (axis for axis in AXIS_ROLES if matches(name, axis)):
+        for axis in (axis for axis in AXIS_ROLES if axis in scores(name)):
             points.setdefault(_point(name, axis), []).append(name)
     return points
 
@@ -146,9 +144,15 @@ def with_axes(
     `is_tilted`, the height of positions is needed, too. `InputError` where the axes are unknown.
     """
     by_axis = {r: c for r, c in columns.items() if r in (*POSITION_ROLES, "up", *"xyz")}
-    frame = next((name for name in one.names if _is_frame(name)), None)
+    words = ((name, words_in(name)) for name in one.names)
+    named = (n for n, w in words if w == ("frame",) or (w[-2:] == FRAME_ID and "child" not in w))
+    frame = next(named, None)
     raw = one.values(by_axis | ({"frame": Column("landmark", frame)} if frame else {}))
-    by_axis = _with_units(by_axis, [raw[axis] for axis in by_axis])
+    # The unit of another coordinate counts where a name has none.
+    largest = max(float(np.nanmax(np.abs(raw[axis]), initial=0.0)) for axis in by_axis)
+    units = (column.unit for column in by_axis.values() if column.unit)
+    unit = next(units, "mm" if largest > MAX_LENGTH else "m")
+    by_axis = {role: replace(column, unit=column.unit or unit) for role, column in by_axis.items()}
     others = {role: column for role, column in columns.items() if role not in by_axis}
     if "forward" in by_axis:
         is_specified = by_axis["forward"].is_specified
@@ -166,19 +170,6 @@ def with_axes(
     return others | roles, axes
 
 
-def _is_frame(name: str) -> bool:
-    words = words_in(name)
-    return words == ("frame",) or (words[-2:] == ("frame", "id") and "child" not in words)
-
-
-def _with_units(columns: dict[str, Column], values: Sequence[np.ndarray]) -> dict[str, Column]:
-    """Return columns with a unit: that of another coordinate where the name has none."""
-    largest = max(float(np.nanmax(np.abs(v), initial=0.0)) for v in values)
-    named = next((column.unit for column in columns.values() if column.unit), None)
-    unit = named or ("mm" if largest > MAX_LENGTH else "m")
-    return {role: replace(column, unit=column.unit or unit) for role, column in columns.items()}
-
-
 def _axes_of(
     values: Mapping[str, np.ndarray],
     by_axis: Mapping[str, Column],
@@ -189,11 +180,8 @@ def _axes_of(
 ) -> Axes:
     """Return the axes according to frame ids, else to the spread of coordinates."""
     if fixed := frames.intersection(FIXED_FRAMES):
-        raise InputError(
-            f"positions are in the fixed frame {quoted(min(fixed))}",
-            one.path,
-            advice="give them relative to the camera or the robot",
-        )
+        problem = f"positions are in the fixed frame {quoted(min(fixed))}"
+        raise InputError(problem, one.path, advice="give them relative to the camera or the robot")
     by_data = axes_by_spread(values)
     known = f"frame {quoted(min(frames))}" if frames else ""
     could_be = {"camera": _is_in_front(values.get("z")), "robot": "y" in values}

@@ -7,7 +7,6 @@ may have dots, and units as in a text file.
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 import re
@@ -32,13 +31,7 @@ from homeward.drives.folder import (
 from homeward.drives.home.when import with_home
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
-from homeward.drives.importers.parts import (
-    MIN_COMMON,
-    UNIX_S,
-    Imported,
-    OdometryStamps,
-    Part,
-)
+from homeward.drives.importers.parts import MIN_COMMON, UNIX_S, Imported, Part
 from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import (
@@ -48,7 +41,7 @@ from homeward.drives.importers.sense import (
     require_imported_senses,
     with_senses,
 )
-from homeward.drives.importers.sheet import Sheet, sheet
+from homeward.drives.importers.sheet import sheet
 from homeward.drives.measure import with_yaw_rate
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
 from homeward.drives.opening import KINDS as KINDS_OF_DRIVES
@@ -60,7 +53,7 @@ from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
 from homeward.io.naming import command, listing, natural
-from homeward.io.table import Table, quoted
+from homeward.io.table import Table, quoted, write_csv
 from homeward.odometry.history import dead_reckoning
 from homeward.plugins import FAULTS, fault, installed, load
 from homeward.sighting_keys import is_unlabelled
@@ -81,7 +74,8 @@ def text_files(files: Sequence[Path]) -> Iterator[list[Path]]:
             folder = Path(scratch, str(number))
             for name, columns in ({} if tables is None else tables).items():
                 folder.mkdir(exist_ok=True)
-                _write(folder / name, columns)
+                cells = ([_plain(cell) for cell in column] for column in columns.values())
+                write_csv(folder / name, columns, zip(*cells, strict=True))
                 origins[folder / name] = path / name
             found += [path] if tables is None else [folder / name for name in tables]
         try:
@@ -109,15 +103,6 @@ def _tables(path: Path) -> Mapping[str, Mapping[str, Sequence[Any]]] | None:
             raise InputError(f"source {name}: {bad[0]!r} is no name of a table", path)
         return found  # type: ignore[no-any-return]
     return None
-
-
-def _write(file: Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """Write a table as text, from which numbers are read back exactly."""
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(columns)
-        cells = ([_plain(cell) for cell in column] for column in columns.values())
-        writer.writerows(zip(*cells, strict=True))
 
 
 def _plain(cell: Any) -> Any:
@@ -165,27 +150,21 @@ def understand(
     with text_files(files) as texts:
         for path in texts:
             _refuse_drives(path)
-        return _understood(
-            [sheet(path) for path in texts], columns, kinds, wheels, cameras, tag_size
-        )
+        sheets = [sheet(path) for path in texts]
+        there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
+        specified = specified_columns(columns, there)
+        parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, cameras)
+        if tag_size is not None:
+            _set_tag_size(parts, tag_size)
+        found = _read(parts)
+        with suppress(InputError):  # `drive_of` raises it after the columns are shown
+            found = with_senses(_odometry(found, wheels, {}), found)
+        return found
 
 
-def _understood(
-    sheets: Sequence[Sheet],
-    columns: Sequence[str],
-    kinds: Sequence[str],
-    wheels: Wheels | None,
-    cameras: Calibrations | None,
-    tag_size: float | None,
-) -> dict[str, Imported]:
-    """Return the recognised tables; parameters as of `understand`."""
-    there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
-    specified = specified_columns(columns, there)
-    parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, cameras)
-    if tag_size is not None:
-        _set_tag_size(parts, tag_size)
+def _read(parts: Sequence[Part]) -> dict[str, Imported]:
+    """Read the tables by kind."""
     found: dict[str, Imported] = {}
-    clock: OdometryStamps | None = None
     # Odometry first: from its rate, the unit of stamps can be guessed. Bearings before home: they
     # are more, so one of them probably exceeds 2 pi if they are in degrees.
     for kind in KINDS:
@@ -199,13 +178,10 @@ def _understood(
         for part in mine:
             others = [p for p in parts if p.sheet is part.sheet and p.kind != "tilt"]
             part.is_alone = len(others) == 1
+            timed = (one for one in found.values() if "t" in one.columns and len(one.table))
             seen = found["bearings"].columns["bearing"] if "bearings" in found else None
             angle = seen.unit if seen is not None and seen.is_guessed else None
-            one = found[kind] = part.read(clock, angle)
-            if clock is None and "t" in one.columns and len(one.table):
-                clock = OdometryStamps(str(one.columns["t"].unit), one.table["t"])
-    with suppress(InputError):  # `drive_of` raises it after the columns are shown
-        return with_senses(_odometry(found, wheels, {}), found)
+            found[kind] = part.read(next(timed, None), angle)
     return found
 
 
@@ -358,11 +334,9 @@ def _kinds(texts: Sequence[str], there: Collection[str]) -> dict[str, str]:
         file, _, kind = text.rpartition("=")
         name = Path(file.strip()).name
         if kind.strip() not in AS or name not in there:
-            raise InputError(
-                f"no file {name!r}" if kind.strip() in AS else "must be FILE=KIND",
-                part=f"--as {text}",
-                advice=f"use one of the files, and one of {', '.join(AS)}",
-            )
+            problem = f"no file {name!r}" if kind.strip() in AS else "must be FILE=KIND"
+            advice = f"use one of the files, and one of {', '.join(AS)}"
+            raise InputError(problem, part=f"--as {text}", advice=advice)
         found[name] = AS[kind.strip()]
     return found
 

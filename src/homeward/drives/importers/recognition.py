@@ -15,9 +15,9 @@ from homeward.drives.columns import (
     TRUE_PATH,
     Column,
     assigned,
-    matches,
     may_be,
     recognised,
+    scores,
     times_in,
     words_in,
 )
@@ -27,7 +27,6 @@ from homeward.drives.importers.pixels import (
     Calibrations,
     Pixels,
     box_columns,
-    has_intrinsics,
     pixel_columns,
     with_pixels,
 )
@@ -107,7 +106,8 @@ def parts_of(
         t = times_in(one.names, mine)
         if not (across or has_bearings or ids or one.headless or t is None):
             across = numbered_columns([name for name in free if name != t.name])
-        if across and (t is not None or one.one_row) and kind in (None, _wide_kind(t)):
+        wide_kind = "home" if t is None else "bearings"
+        if across and (t is not None or one.one_row) and kind in (None, wide_kind):
             parts.append(_wide_part(one, across, t, mine))
         elif all(part.sheet is not one for part in parts):
             gyro = assigned(KINDS["gyro"], one.names, mine) if kind is None else None
@@ -164,7 +164,7 @@ def _kinds_of(
     name = one.path.name.lower()
     is_of_robot = TRUE_PATH.search(name) or "odom" in name
     pixels = {} if is_of_robot else _pixels(one, mine, cameras)
-    if has_intrinsics(pixels, cameras):
+    if any(found and (cameras or "fx" in found) for found in pixels.values()):
         given = _unambiguous(lambda: columns_of("bearings") or columns_of("home"))
         if given is None or roles.intersection(PIXEL_ROLES):
             return {"odometry": odometry} | pixels
@@ -202,7 +202,7 @@ def _odometry_columns(one: Sheet, mine: Sequence[Column], has_wheels: bool) -> F
     roles = {column.role for column in mine if column.name in one.names}
     forms = sorted(ODOMETRY, key=lambda form: -len(roles.intersection(form)))
     # Along with landmarks, left and right are those of a box in an image.
-    is_seen = any(matches(name, "landmark") for name in one.names)
+    is_seen = any("landmark" in scores(name) for name in one.names)
     usable = [n for n in one.names if not (is_seen and words_in(n) in SIDE_NAMES)]
     for form in forms:
         is_wanted = has_wheels or "omega" in form or len(roles.intersection(form)) > 1
@@ -225,7 +225,7 @@ def _belong_to_robot(one: Sheet, poses: dict[str, Column], landmark: Column) -> 
 
 def _refuse_headings(one: Sheet, bearing: Column, others: str) -> None:
     """Refuse a bearing such as theta along with `others`: it may be the landmark's heading."""
-    if not bearing.is_specified and matches(bearing.name, "heading"):
+    if not bearing.is_specified and "heading" in scores(bearing.name):
         problem = f"{bearing.name!r} may be the bearing or the heading of a landmark"
         roles = f"'bearing={bearing.name}', or the roles {others}"
         raise InputError(problem, one.path, advice=f"use --columns {roles}")
@@ -245,10 +245,8 @@ def _pixels(one: Sheet, mine: Sequence[Column], cameras: Calibrations) -> dict[s
 
 def _positions(one: Sheet, mine: Sequence[Column]) -> dict[str, Found]:
     """Return the columns of positions of landmarks, by kind of table."""
-    for kind in POSITIONED:
-        if found := position_columns(kind, one.names, mine):
-            return {kind: found}
-    return {}
+    found = ((kind, position_columns(kind, one.names, mine)) for kind in POSITIONED)
+    return next(({kind: columns} for kind, columns in found if columns), {})
 
 
 def _unambiguous(columns: Callable[[], Found]) -> Found:
@@ -281,11 +279,9 @@ def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
             part.columns, axes = with_axes(part.sheet, part.kind, part.columns, axes, is_tilted)
             part.source = axes
     if cameras and not any(isinstance(part.source, Pixels) for part in parts):
-        raise InputError(
-            "not used: no table has pixels instead of bearings",
-            part="--camera",
-            advice="give their columns, as in --columns 'column=u, row=v'",
-        )
+        problem = "not used: no table has pixels instead of bearings"
+        advice = "give their columns, as in --columns 'column=u, row=v'"
+        raise InputError(problem, part="--camera", advice=advice)
 
 
 def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> InputError:
@@ -305,19 +301,14 @@ def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> Inp
 def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
     """Return the advice for the kind of table that lacks the fewest roles."""
     if one.lists or len([p for p in points_in(one.names).values() if len(p) > 1]) >= MIN_NUMBERED:
-        what = (
-            f"values in the lists of {' and '.join(map(repr, one.lists))}"
-            if one.lists
-            else "positions"
-        )
+        lists = " and ".join(map(repr, one.lists))
+        what = f"values in the lists of {lists}" if lists else "positions"
         return f"write a row for each of the {what}, with the time and the id of the landmark"
-    kinds = [(kind, roles) for kind, roles in KINDS.items() if kind != "gyro"]
-    kinds += [("odometry", form) for form in ODOMETRY]
-    boxes = box_columns(one.names)
-    tried = []
-    for kind, roles in kinds:
+    boxes, tried = box_columns(one.names), list[tuple[str, tuple[str, ...], dict[str, str]]]()
+    for kind, roles in (*KINDS.items(), *(("odometry", form) for form in ODOMETRY)):
         box = {"bearing": "box"} if boxes and kind in POSITIONED else {}
-        tried.append((kind, roles, box | recognised(roles, one.names, mine)))
+        if kind != "gyro":
+            tried.append((kind, roles, box | recognised(roles, one.names, mine)))
     kind, needed, found = max(tried, key=lambda t: (len(t[2]) / len(t[1]), len(t[2])))
     numbers = {name: number for number, name in one.numbers.items()}
     if not found:
@@ -354,10 +345,8 @@ def _find_odometry(parts: Sequence[Part], kinds: Mapping[str, str]) -> None:
         candidates = [part for part in candidates if part.begins_at_origin]
     if len(unknown) > 1 and len(candidates) != 1:
         files = " and ".join(part.sheet.path.name for part in unknown)
-        raise InputError(
-            f"{files} have poses, and either may be the odometry",
-            advice="use --as FILE=odometry for one, and --as FILE=truth for ground truth",
-        )
+        advice = "use --as FILE=odometry for one, and --as FILE=truth for ground truth"
+        raise InputError(f"{files} have poses, and either may be the odometry", advice=advice)
     for part in unknown:
         part.kind = "odometry" if part in candidates else "truth"
         if part not in named:
@@ -385,10 +374,6 @@ def _landmark_ids(parts: Sequence[Part], others: Sequence[Sheet]) -> set[str]:
     return known
 
 
-def _wide_kind(t: Column | None) -> str:
-    return "home" if t is None else "bearings"
-
-
 def _wide_part(
     one: Sheet, across: dict[str, str], t: Column | None, mine: Sequence[Column]
 ) -> Part:
@@ -402,4 +387,6 @@ def _wide_part(
         name=span,
         unit=(given and given[0].unit) or unit_of(list(across.values())),
     )
-    return Part(one, _wide_kind(t), columns if t is None else {"t": t, **columns}, across)
+    if t is None:
+        return Part(one, "home", columns, across)
+    return Part(one, "bearings", {"t": t, **columns}, across)

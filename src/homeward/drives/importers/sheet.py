@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -152,23 +153,16 @@ MIN_IDS = 3
 """Number of landmarks that a pose needs."""
 
 
-def number_parser(decimal_comma: bool) -> Parser:
-    """Return a parser of numbers; NaN where missing."""
-    return _decimal if decimal_comma else _number
-
-
-def time_parser(decimal_comma: bool) -> Parser:
-    """Return a parser of times: numbers, or dates with a time of day as Unix time [s]."""
-
-    def parse(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-        if any(":" in cell for cell in cells):
-            cells = [
-                "" if cell.strip().lower() in EMPTY else _unix(cell, name, row, path)
-                for cell, row in zip(cells, rows, strict=True)
-            ]
-        return number_parser(decimal_comma)(name, cells, rows, path)
-
-    return parse
+def times(
+    name: str, cells: Sequence[str], rows: Sequence[int], path: Path, parse: Parser
+) -> np.ndarray:
+    """Parse times: numbers, which `parse` reads, or dates with a time of day as Unix time [s]."""
+    if any(":" in cell for cell in cells):
+        cells = [
+            "" if cell.strip().lower() in EMPTY else _unix(cell, name, row, path)
+            for cell, row in zip(cells, rows, strict=True)
+        ]
+    return parse(name, cells, rows, path)
 
 
 def _texts(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
@@ -202,13 +196,8 @@ def _number(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
 def _decimal(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
     for cell, row in zip(cells, rows, strict=True):
         if THOUSANDS.fullmatch(cell.strip()):
-            raise InputError(
-                f"{quoted(cell)} has a point, but other numbers have a decimal comma",
-                path,
-                row,
-                part=name,
-                advice="remove thousands separators",
-            )
+            problem = f"{quoted(cell)} has a point, but other numbers have a decimal comma"
+            raise InputError(problem, path, row, part=name, advice="remove thousands separators")
     plain = [c.replace(".", "").replace(",", ".") if "," in c else c for c in cells]
     return _number(name, plain, rows, path)
 
@@ -276,8 +265,8 @@ class Sheet:
 
         A column without a name, that of landmarks without ids, is empty.
         """
-        kinds = {"name": names, "time": time_parser(self.decimal_comma)}
-        numbers = number_parser(self.decimal_comma)
+        numbers = _decimal if self.decimal_comma else _number
+        kinds: dict[str, Parser] = {"name": names, "time": partial(times, parse=numbers)}
         parsers: dict[str, Parser] = {
             name: kinds.get(column.quantity, numbers)
             for column in columns.values()
@@ -328,7 +317,8 @@ def sheet(path: Path) -> Sheet:
     above = by_gaps if len(by_gaps) == len(head) else _fields(comment, delimiter)
     if not numbered:
         names, skip = head, skip + 1
-        if body and _is_unit_row(body[0]):
+        second = [cell for cell in body[0] if cell.strip().lower() not in EMPTY] if body else []
+        if second and all(map(is_unit, second)):
             units = [cell.strip("[]()<> ") if is_unit(cell) else "" for cell in body.pop(0)]
             names = [f"{n} [{unit}]" if unit else n for n, unit in zip(names, units, strict=False)]
             skip = first.index(rows[1]) + 1
@@ -401,9 +391,8 @@ def _refuse_other_formats(begin: bytes, path: Path) -> None:
         if begin.startswith(starts) or plain.startswith(starts):
             raise InputError(f"{what}, not a text table", path, advice=advice)
     if b"\0" in begin:
-        raise InputError(
-            "a binary file, not a text table", path, advice="export its data as a CSV file"
-        )
+        advice = "export its data as a CSV file"
+        raise InputError("a binary file, not a text table", path, advice=advice)
 
 
 def _delimiter(rows: Sequence[str], path: Path) -> tuple[str, int]:
@@ -413,9 +402,8 @@ def _delimiter(rows: Sequence[str], path: Path) -> tuple[str, int]:
         width, lines = max(sizes.items(), key=lambda item: (item[1], item[0]))
         if width > 1 and 2 * lines >= len(rows):
             return delimiter, width
-    raise InputError(
-        "not a table: no separator gives the same number of columns in most lines", path
-    )
+    problem = "not a table: no separator gives the same number of columns in most lines"
+    raise InputError(problem, path)
 
 
 def _without_titles(rows: list[str], delimiter: str, width: int) -> list[str]:
@@ -438,12 +426,6 @@ def _is_header(head: Sequence[str], body: Sequence[Sequence[str]], comma: bool) 
     # Ids above the bearings of one pose.
     ids = all(map(_ID.fullmatch, head)) and len(set(head)) == len(head) >= MIN_IDS
     return ids and len(body) == 1 and not any(map(_ID.fullmatch, body[0]))
-
-
-def _is_unit_row(cells: Sequence[str]) -> bool:
-    """Whether a line contains units only."""
-    filled = [cell for cell in cells if cell.strip().lower() not in EMPTY]
-    return bool(filled) and all(map(is_unit, filled))
 
 
 def _fields(line: str, delimiter: str) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from homeward.drives.columns import LANDMARKS, ROLES, has_role, matches, unit_in, words_in
+from homeward.drives.columns import LANDMARKS, ROLES, scores, unit_in, words_in
 from homeward.errors import InputError
 from homeward.io.table import Table
 
@@ -45,9 +45,9 @@ def numbered_columns(names: Sequence[str]) -> dict[str, str]:
     by_shape: dict[str, list[str]] = {}
     for name in names:
         is_landmark = bool(LANDMARK.fullmatch(landmark_in(name)[0].lower()))
-        if not is_landmark and matches(name, "landmark"):
+        if not is_landmark and "landmark" in scores(name):
             return {}
-        if is_landmark or not has_role(name):
+        if is_landmark or not scores(name):
             by_shape.setdefault(_shape(name), []).append(name)
     sets = [same for shape, same in by_shape.items() if "#" in shape and len(same) >= MIN_NUMBERED]
     return {landmark_in(name)[0]: name for name in sets[0]} if len(sets) == 1 else {}

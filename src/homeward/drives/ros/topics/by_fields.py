@@ -6,11 +6,11 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
-from homeward.drives.columns import best_names, ending, matches, words_in
+from homeward.drives.columns import best_names, ending, scores, words_in
 from homeward.drives.ros.log import Fields
 from homeward.drives.ros.measurements.sightings import frame_of, parts_of
 from homeward.drives.ros.presets import SIGHTINGS, values
-from homeward.drives.ros.settings import BearingsTopic, Layout, OdometryTopic
+from homeward.drives.ros.settings import BearingsTopic, OdometryTopic
 from homeward.drives.ros.topics.survey import IS_READ, Topic, TopicSurvey
 from homeward.errors import InputError
 from homeward.io.naming import listing
@@ -73,32 +73,26 @@ def canonical(path: str, found: Mapping[str, str], kinds: Sequence[str]) -> str 
     return None
 
 
-def layouts(kind: str, fields: Fields) -> tuple[Layout, ...]:
-    """Return the possible layouts of landmarks in a message type; one where it is unambiguous."""
+def _landmarks(kind: str, fields: Fields) -> list[dict[str, str]]:
+    """Return the possible paths of landmarks in a message type; one where it is unambiguous."""
     found = leaves(kind, fields)
     points = [p for p in _of(found, POINT) if _is_place(p)]
     numbers = _of(found, NUMBER)
-    result = []
+    result = list[dict[str, str]]()
     for scope in dict.fromkeys(map(_scope, [*points, *numbers])):
         here = [p for p in points if _scope(p) == scope]
-        angles = [p for p in numbers if _scope(p) == scope and matches(_item(p), "bearing")]
+        angles = [p for p in numbers if _scope(p) == scope and "bearing" in scores(_item(p))]
         bearings = [p for p in angles if BEARINGS.intersection(words_in(_name(p)))]
         here = [p for p in here if PLACES.intersection(_words(p))] or here
         named = _ids(found, scope)
         if not (bearings or here):
             bearings = [p for p in angles if ending(_item(p), "bearing") == ""]
-        result += [Layout(i, bearing=p) for i in named for p in bearings]
-        result += [Layout(i, position=p) for i in named for p in here if not bearings]
-    return tuple(result)
+        places = [("bearing", p) for p in bearings] or [("position", p) for p in here]
+        result += [{"id": i, what: p} for i in named for what, p in places]
+    return result
 
 
-def has_frame(layout: Layout, found: Mapping[str, str]) -> bool:
-    """Whether messages with these leaves have a header for the positions of a layout."""
-    headers = [_scope(path) for path in _of(found, HEADER)]
-    return bool({"", _scope(layout.place)}.intersection(headers))
-
-
-def odometry_paths(kind: str, fields: Fields) -> tuple[tuple[str, str, str], ...]:
+def _motions(kind: str, fields: Fields) -> list[dict[str, str]]:
     """Return the possible paths of forward speed, yaw rate and sideways speed in a message type.
 
     Speed and rate are fields of one message. The last one is empty if a type has none.
@@ -106,12 +100,12 @@ def odometry_paths(kind: str, fields: Fields) -> tuple[tuple[str, str, str], ...
     numbers = [p for p in _of(leaves(kind, fields), NUMBER) if "[]" not in p]
     parents = {role: {p: ending(p, role) for p in numbers} for role in ("v", "omega")}
     sideways = {p: p[:-1] + "y" for p in numbers if p.endswith("x") and p[:-1] + "y" in numbers}
-    return tuple(
-        (v, w, sideways.get(v, ""))
+    return [
+        {"v": v, "omega": w, "vy": sideways.get(v, "")}
         for v, parent in parents["v"].items()
         for w, other in parents["omega"].items()
         if parent is not None and parent == other
-    )
+    ]
 
 
 def _ids(found: Mapping[str, str], scope: str) -> list[str]:
@@ -133,7 +127,7 @@ def _is_place(path: str) -> bool:
     """Whether a point may be a position in space, according to its words."""
     words = _words(path)
     is_named = PLACES.intersection(words)
-    return matches(" ".join((*words, "x")), "x") and bool(is_named or not PIXELS & words)
+    return "x" in scores(" ".join((*words, "x"))) and bool(is_named or not PIXELS & words)
 
 
 def _words(path: str) -> set[str]:
@@ -184,16 +178,11 @@ def candidates(survey: TopicSurvey, given: Named) -> list[Named]:
     `InputError` where the log has no definition of its type.
     """
     kind, fields = survey.topic(given.topic).type, survey.fields(given.topic)
-    if isinstance(given, BearingsTopic):
-        options = [_paths(layout) for layout in layouts(kind, fields)]
-    else:
-        paths = odometry_paths(kind, fields)
-        options = [{"v": v, "omega": omega, "vy": vy} for v, omega, vy in paths]
-    wanted = _paths(given)
+    options = (_landmarks if isinstance(given, BearingsTopic) else _motions)(kind, fields)
     return [
         given.model_copy(update={name: path or None for name, path in option.items()})
         for option in options
-        if wanted.items() <= option.items()
+        if _paths(given).items() <= option.items()
     ]
 
 
@@ -206,12 +195,12 @@ def only_candidate(survey: TopicSurvey, empty: type[Named]) -> Named | None:
             known = leaves(topic.type, survey.fields(topic.name))
         except InputError:
             continue  # listed by `homeward info`
-        found += [
-            option
-            for option in options
-            if not isinstance(option, BearingsTopic)
-            or (option.layout and "[]" in option.layout.id and has_frame(option.layout, known))
-        ]
+        headers = {_scope(path) for path in _of(known, HEADER)}
+        for option in options:
+            layout = option.layout if isinstance(option, BearingsTopic) else None
+            # Lists of landmarks in messages that name the frame of their camera.
+            if layout is None or ("[]" in layout.id and headers & {"", _scope(layout.place)}):
+                found.append(option)
     return found[0] if len(found) == 1 else None
 
 
@@ -278,7 +267,7 @@ def _is_as_known(survey: TopicSurvey, name: str) -> bool:
     return any(known.startswith(path) for known in leaves(channel.type, survey.fields(name)))
 
 
-def _paths(given: BearingsTopic | OdometryTopic | Layout) -> dict[str, str]:
+def _paths(given: BearingsTopic | OdometryTopic) -> dict[str, str]:
     """Return the given paths of fields by key."""
     return {name: path for name in PATHS if (path := getattr(given, name, None))}
 
@@ -293,11 +282,10 @@ def _checked(survey: TopicSurvey, topic: str, wanted: dict[str, str]) -> dict[st
         suitable = {"id": (INTEGER, TEXT), "position": (POINT,)}.get(name, (NUMBER,))
         if (whole := canonical(path, known, suitable)) is None:
             paths = [p for p, leaf in known.items() if leaf in suitable]
-            raise InputError(
+            problem = (
                 f"{kind} has no {' or '.join(suitable)} {path} for {name}; it "
-                f"has {listing(paths, 20) if paths else 'none'}",
-                survey.log.path,
-                part=topic,
+                f"has {listing(paths, 20) if paths else 'none'}"
             )
+            raise InputError(problem, survey.log.path, part=topic)
         found[name] = whole
     return found
