@@ -83,10 +83,8 @@ class Decoder:
             OverflowError,
             struct.error,
         ) as error:
-            raise InputError(
-                f"a message does not match its type {channel.type}: {one_line(error)}",
-                part=channel.topic,
-            ) from error
+            problem = f"a message does not match its type {channel.type}: {one_line(error)}"
+            raise InputError(problem, part=channel.topic) from error
 
 
 def is_well_known(kind: str) -> bool:
@@ -146,9 +144,8 @@ def _store(channel: Channel) -> Any:
         store.register({name: ([], types[name][1]) for name in shapes.known})
         store.get_msgdef(channel.type)
     except Exception as error:  # generated code can raise any type
-        raise InputError(
-            f"the log's definition of {channel.type} cannot be used: {one_line(error)}"
-        ) from error
+        problem = f"the log's definition of {channel.type} cannot be used: {one_line(error)}"
+        raise InputError(problem) from error
     return store
 
 

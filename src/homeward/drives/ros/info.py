@@ -108,12 +108,22 @@ def log_info(
         remarks = (*cut_short, f"{error.what}.", *_candidates(known))
         draft = draft_of(known.topics, None)
         return LogInfo(log.kind, known.topics, None, remarks, False, _with_topics(given), draft)
-    missing = tuple(_missing(plan))
+    absent = {
+        "No topic contains odometry.": plan.odometry is None,
+        "No topic has a type that is read as bearings without a topics file.": not plan.bearings,
+        f"No home bearings found: {NAME_HOME}.": plan.home is None,
+    }
+    missing = [words for words, is_absent in absent.items() if is_absent]
+    used = {(topic.topic, topic.frames) for topic in plan.bearings if topic.frames}
     remarks = (
         *cut_short,
         *missing,
         *(_candidates(known) if missing else ()),
-        *_tags_used(known, plan),
+        *(
+            f"Bearings from the positions of frames in {tags.topic}: {tags}."
+            for tags in (known.tag_frames if used else ())
+            if (tags.topic, tags.frames) in used
+        ),
         *_tried(known, plan, topics, on_progress),
     )
     following = _next(given, plan, topics, known, remarks)
@@ -182,12 +192,9 @@ def _folder_info(kind: str, path: Path, given: Path, needed: tuple[str, ...]) ->
     )
     if (path / csv.HOME).exists():
         kind += f", {len(csv.read_home(path / csv.HOME, counts))} home bearings"
-    remarks: list[str] = []
-    is_drive = needed == csv.REQUIRED
-    if is_drive:
-        missing = csv.missing_files(path)
-    else:
-        missing = [name for name in needed if not (path / name).exists()]
+    remarks, is_drive = list[str](), needed == csv.REQUIRED
+    absent = [name for name in needed if not (path / name).exists()]
+    missing = csv.missing_files(path) if is_drive else absent
     has_no_home = missing == [csv.HOME]
     if has_no_home:
         remarks.append(f"No home bearings found: {csv.HOME_ADVICE}.")
@@ -240,23 +247,6 @@ def _tried(
     yield from drive.remark_lines
     if plan.bearings and not drive.sightings.t.size:
         yield REFUSED.format("it contains no sightings of landmarks")
-
-
-def _missing(plan: LogSettings) -> Iterator[str]:
-    if plan.odometry is None:
-        yield "No topic contains odometry."
-    if not plan.bearings:
-        yield "No topic has a type that is read as bearings without a topics file."
-    if plan.home is None:
-        yield f"No home bearings found: {NAME_HOME}."
-
-
-def _tags_used(known: TopicSurvey, plan: LogSettings) -> Iterator[str]:
-    """Yield the frames in /tf that are used as bearings."""
-    used = {(topic.topic, topic.frames) for topic in plan.bearings if topic.frames}
-    for tags in known.tag_frames if used else ():
-        if (tags.topic, tags.frames) in used:
-            yield f"Bearings from the positions of frames in {tags.topic}: {tags}."
 
 
 def _numbered(names: list[str]) -> list[str]:

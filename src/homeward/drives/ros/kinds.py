@@ -40,9 +40,7 @@ KINDS = {
         "recover the messages before the damage with `mcap recover FILE -o NEW.mcap`",
     ),
     b"SQLite format 3\x00": Kind(
-        "db3",
-        "ROS 2 bag (sqlite3)",
-        'recover it with `sqlite3 FILE ".recover" | sqlite3 NEW.db3`',
+        "db3", "ROS 2 bag (sqlite3)", 'recover it with `sqlite3 FILE ".recover" | sqlite3 NEW.db3`'
     ),
     WPILOG: Kind("wpilog", "WPILib data log", "copy it from the robot again"),
 }

@@ -214,12 +214,11 @@ class Log:
             problem = f"damaged or incomplete: {one_line(answer[1])}"
             raise InputError(problem, file, advice=repair or None)
         if answer[0] == "memory":
-            raise InputError(
+            problem = (
                 "unpacks to more than the limit, or needs more than "
-                f"{memory / 2**30:.0f} GiB of memory",
-                file,
-                advice="split the recording if you trust it",
+                f"{memory / 2**30:.0f} GiB of memory"
             )
+            raise InputError(problem, file, advice="split the recording if you trust it")
         if answer[0] == "died":
             if process.returncode == -getattr(signal, "SIGXCPU", 0):
                 problem = f"takes more than {seconds:.0f} s of processor time"
@@ -312,9 +311,8 @@ def _kind(path: Path) -> Kind:
         if first.startswith(magic):
             return kind
     if first.startswith(OLDER_ROSBAG):
-        raise InputError(
-            "a ROS bag of a format before 2.0", path, advice="convert it with rosbag fix"
-        )
+        advice = "convert it with rosbag fix"
+        raise InputError("a ROS bag of a format before 2.0", path, advice=advice)
     if first.startswith(LCM):
         raise InputError(
             "an LCM event log, which does not contain the definitions of its messages",
@@ -342,9 +340,8 @@ def _contents(path: Path) -> tuple[list[Path], bool]:
         raise InputError("relative_file_paths is not a list of files", file)
     if mode and metadata.get("compression_format") not in ("zstd", "", None):
         compression = quoted(str(metadata["compression_format"]))
-        raise InputError(
-            f"compression_format {compression} is not supported", file, advice="use zstd"
-        )
+        advice = "use zstd"
+        raise InputError(f"compression_format {compression} is not supported", file, advice=advice)
     # File names only: a bag must not refer to files outside its folder.
     files = [path / PurePath(name).name for name in names]
     for name in files:

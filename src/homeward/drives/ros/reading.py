@@ -193,10 +193,8 @@ class _Reading:
         """Set the extrinsics, and transform all bearings to the frame of the first camera."""
         for given, by_frame in zip(self._plan.bearings, self._seen, strict=True):
             if given.frames and not by_frame:
-                raise InputError(
-                    f"no frame in {given.topic} matches {given.frames}",
-                    advice="run homeward info without a topics file to list frames of tags",
-                )
+                advice = "run homeward info without a topics file to list frames of tags"
+                raise InputError(f"no frame in {given.topic} matches {given.frames}", advice=advice)
         self._cameras = [rows for by_frame in self._seen for rows in by_frame.values() if len(rows)]
         for rows in self._cameras:
             rows.use_axes_of_data()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from homeward.drives.cameras.camera import TagSize, Tilt
 from homeward.drives.cameras.lens import Lens
@@ -196,17 +196,15 @@ class TruthTopic(Strict):
     """Home in the frame of these poses: x [m], y [m], heading [rad]; None: the home frame."""
 
 
-def _one_or_several(value: Any) -> Any:
-    return [value] if isinstance(value, dict) else value
-
-
 class LogSettings(Strict):
     """The keys of the topics file; absent ones are guessed."""
 
     clock: Literal["header", "receive"] = "header"
     """Source of times: header stamps, or receive times of the recorder."""
     odometry: OdometryTopic | None = None
-    bearings: Annotated[tuple[BearingsTopic, ...], BeforeValidator(_one_or_several)] = ()
+    bearings: Annotated[
+        tuple[BearingsTopic, ...], BeforeValidator(lambda v: [v] if isinstance(v, dict) else v)
+    ] = ()
     home: HomeFrom | None = None
     truth: TruthTopic | None = None
     tilt: str | None = None

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +162,7 @@ def write_log(drive: Drive, path: Path, on_progress: Callable[[float], None] | N
     _require_writable(drive, path)
     with writing(path) as log:
         # A stable sort by stamp.
-        rows = sorted(_Rows(log, drive.settings.epoch or 0).of(drive), key=lambda row: row[0])
+        rows = sorted(_messages(log, drive), key=lambda row: row[0])
         for number, (stamp, topic, message) in enumerate(rows):
             log.write(topic, stamp, message)
             if on_progress is not None and number % 500 == 0:
@@ -183,55 +184,42 @@ def _require_writable(drive: Drive, path: Path) -> None:
         raise InputError("the drive contains a number that is not finite", path)
     for landmark in {*map(str, drive.sightings.landmark), *drive.home}:
         if not is_identifier(landmark):
-            raise InputError(
-                f"landmark {quoted(landmark)} is not a valid id (printable, no outer spaces)", path
-            )
+            problem = f"landmark {quoted(landmark)} is not a valid id (printable, no outer spaces)"
+            raise InputError(problem, path)
 
 
-class _Rows:
-    """Generator of the messages of a drive, each with its stamp [ns]."""
+def _messages(log: LogFile, drive: Drive) -> Iterator[tuple[int, str, Any]]:
+    """Yield stamp [ns], topic and message of each sample of a drive."""
+    epoch, begin = drive.settings.epoch or 0, drive.span[0]
 
-    def __init__(self, log: LogFile, epoch: int) -> None:
-        self._log, self._epoch = log, epoch
+    def message(topic: str, kind: str, t: float, frame: str, **fields: Any) -> tuple[int, str, Any]:
+        stamp, residue = split(t, epoch)
+        header = log.header(stamp, frame)
+        return stamp, topic, log.make(kind, header=header, residue=residue, **fields)
 
-    def of(self, drive: Drive) -> Iterator[tuple[int, str, Any]]:
-        first, _ = split(drive.span[0], self._epoch)
-        text = settings_yaml(drive.settings)
-        yield first, OUR_SETTINGS, self._log.make("std_msgs/msg/String", data=text)
-        if drive.home:
-            values = list(drive.home.values())
-            seen = ([v.bearing for v in values], [v.sigma for v in values])
-            yield self._bearings(OUR_HOME, drive.span[0], list(drive.home), *seen)
-        odometry, sightings, truth = drive.odometry, drive.sightings, drive.truth
-        twists = odometry.t.tolist(), odometry.v.tolist(), odometry.omega.tolist()
-        for t, v, omega in zip(*twists, strict=True):
-            yield self._message(OUR_ODOMETRY, ODOMETRY, t, BASE, v=v, omega=omega)
-        edges = np.flatnonzero(np.diff(sightings.t, prepend=np.nan, append=np.nan) != 0)
-        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            ids = [str(i) for i in sightings.landmark[a:b]]
-            seen = (sightings.bearing[a:b].tolist(), sightings.sigma[a:b].tolist())
-            yield self._bearings(OUR_BEARINGS, float(sightings.t[a]), ids, *seen)
-        if truth is not None:
-            for t, x, y, heading in zip(*map(np.ndarray.tolist, vars(truth).values()), strict=True):
-                yield self._message(OUR_TRUTH, POSE, t, HOME, x=x, y=y, heading=heading)
-
-    def _bearings(
-        self, topic: str, t: float, ids: list[str], bearings: list[float], sigmas: list[float]
+    def bearings(
+        topic: str, t: float, ids: list[str], bearing: list[float], sigma: list[float]
     ) -> tuple[int, str, Any]:
-        known = [] if all(map(math.isnan, sigmas)) else sigmas
-        return self._message(
-            topic,
-            BEARINGS,
-            t,
-            CAMERA,
-            landmarks=ids,
-            bearings=np.array(bearings, float),
-            sigmas=np.array(known, float),
-        )
+        known = [] if all(map(math.isnan, sigma)) else sigma
+        numbers = {"bearings": np.array(bearing, float), "sigmas": np.array(known, float)}
+        return message(topic, BEARINGS, t, CAMERA, landmarks=ids, **numbers)
 
-    def _message(
-        self, topic: str, kind: str, t: float, frame: str, **fields: Any
-    ) -> tuple[int, str, Any]:
-        stamp, residue = split(t, self._epoch)
-        header = self._log.header(stamp, frame)
-        return stamp, topic, self._log.make(kind, header=header, residue=residue, **fields)
+    text = settings_yaml(drive.settings)
+    yield split(begin, epoch)[0], OUR_SETTINGS, log.make("std_msgs/msg/String", data=text)
+    if drive.home:
+        home = list(drive.home.values())
+        at_home = [seen.bearing for seen in home], [seen.sigma for seen in home]
+        yield bearings(OUR_HOME, begin, list(drive.home), *at_home)
+    odometry, sightings = drive.odometry, drive.sightings
+    twists = odometry.t.tolist(), odometry.v.tolist(), odometry.omega.tolist()
+    for t, v, omega in zip(*twists, strict=True):
+        yield message(OUR_ODOMETRY, ODOMETRY, t, BASE, v=v, omega=omega)
+    edges = np.flatnonzero(np.diff(sightings.t, prepend=np.nan, append=np.nan) != 0)
+    for a, b in pairwise(edges.tolist()):
+        ids = [str(i) for i in sightings.landmark[a:b]]
+        seen = sightings.bearing[a:b].tolist(), sightings.sigma[a:b].tolist()
+        yield bearings(OUR_BEARINGS, float(sightings.t[a]), ids, *seen)
+    if drive.truth is not None:
+        poses = (values.tolist() for values in vars(drive.truth).values())
+        for t, x, y, heading in zip(*poses, strict=True):
+            yield message(OUR_TRUTH, POSE, t, HOME, x=x, y=y, heading=heading)

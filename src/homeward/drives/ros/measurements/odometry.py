@@ -133,7 +133,9 @@ def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:
     twist_still, pose_still = (moves & (a <= STILL * b) for a, b in (size, size[::-1]))
     for name, still in (("pose", pose_still), ("twist", twist_still)):
         if still.sum() > MAX_STILL * moves.sum():
-            return None if name == "twist" and not _persists(pose) else name
+            double = np.square(np.abs(pose[1:] + pose[:-1])).mean()
+            is_noise = double <= MIN_PERSISTENCE * np.square(np.abs(pose)).mean()
+            return None if name == "twist" and is_noise else name
     both = ~(twist_still | pose_still)  # also at standstill, where noise has little weight
     power = float(np.square(size[0][both]).sum())
     if not power > 0:
@@ -147,12 +149,6 @@ def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:
         angle = np.degrees(np.angle(gain))
         return f"{abs(gain):.3g} x that of the twists, rotated by {angle:.0f} deg,"
     return f"{gain.real:.3g} x that of the twists"
-
-
-def _persists(pose: np.ndarray) -> bool:
-    """Return whether the motion of the poses is more than noise."""
-    double = np.square(np.abs(pose[1:] + pose[:-1])).mean()
-    return bool(double > MIN_PERSISTENCE * np.square(np.abs(pose)).mean())
 
 
 Columns: TypeAlias = "dict[str, np.ndarray]"
@@ -241,17 +237,12 @@ class OdometryRows:
         if kind == MODULE_STATES:
             missing = ["modules"] if len(given.modules) < 2 else []
         if kind in WHEELS and missing:
-            raise InputError(
-                f"{quoted(kind)} needs {' and '.join(missing)}",
-                part=given.topic,
-                advice="give the geometry of the wheels under odometry in the topics file",
-            )
+            problem = f"{quoted(kind)} needs {' and '.join(missing)}"
+            advice = "give the geometry of the wheels under odometry in the topics file"
+            raise InputError(problem, part=given.topic, advice=advice)
         if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[given.use]:
-            raise InputError(
-                f"{quoted(kind)} has no {given.use}",
-                part=given.topic,
-                advice="change use in the topics file",
-            )
+            advice = "change use in the topics file"
+            raise InputError(f"{quoted(kind)} has no {given.use}", part=given.topic, advice=advice)
         paths = {role: path for role in TWIST if (path := getattr(given, role))}
         self._paths = paths if given.v and given.omega else MOTIONS.get(kind, {})
         self._row = row_of(self._paths)
@@ -263,11 +254,15 @@ class OdometryRows:
     def add(self, t: float, message: Any) -> None:
         """Add the message of time `t` [s]."""
         if self._joints is not None:
-            row = self._joints.row(message)
-            if row is not None:
+            if (row := self._joints.row(message)) is not None:
                 self._rows.append((t, *row))
-        elif self._kind not in TRANSFORMS or self._is_of_robot(message):
-            self._rows.append((t, *self._row(message)))
+            return
+        if self._kind in TRANSFORMS:
+            parent, child = self._given.frames
+            names = {child, "base_footprint"} if child == "base_link" else {child}
+            if frame_of(message) != parent or message.child_frame_id.strip("/") not in names:
+                return
+        self._rows.append((t, *self._row(message)))
 
     def _states(self, message: Any) -> tuple[float, ...]:
         if len(message.speeds) != len(self._given.modules):
@@ -276,11 +271,6 @@ class OdometryRows:
                 f"{len(self._given.modules)} positions"
             )
         return *message.speeds, *message.angles
-
-    def _is_of_robot(self, transform: Any) -> bool:
-        parent, child = self._given.frames
-        names = {child, "base_footprint"} if child == "base_link" else {child}
-        return frame_of(transform) == parent and transform.child_frame_id.strip("/") in names
 
     def odometry(self, remarks: Remarks) -> Odometry:
         """Return the odometry of all messages; `remarks` counts anomalies.

@@ -16,14 +16,7 @@ from homeward.drives.cameras.tag_pose import TagPose, tag_poses
 from homeward.drives.columns import UNITS, unit_in
 from homeward.drives.importers.positions import FIXED_FRAMES, axes_by_spread
 from homeward.drives.measure import bearings
-from homeward.drives.ros.presets import (
-    ALL_SIGHTINGS,
-    ALVAR,
-    IN_PARTS,
-    TRANSFORMS,
-    id_text,
-    values,
-)
+from homeward.drives.ros.presets import ALL_SIGHTINGS, ALVAR, IN_PARTS, TRANSFORMS, id_text, values
 from homeward.drives.ros.settings import BearingsTopic, Layout, wildcard_part
 from homeward.drives.ros.stamps import Remarks
 from homeward.errors import InputError
@@ -68,9 +61,8 @@ def sightings_in(message: Any, kind: str, given: BearingsTopic) -> Iterator[Sigh
     }
     for path, number in ((layout.id, len(ids)), (layout.sigma, len(extra.get("sigma", places)))):
         if number != len(places):
-            raise InputError(
-                f"a message has {number} values of {path} and {len(places)} of {layout.place}",
-            )
+            problem = f"a message has {number} values of {path} and {len(places)} of {layout.place}"
+            raise InputError(problem)
     axes = _axes(message, given, layout) if layout.position else ""
     scale = scale_of(layout)
     for k, (name, place) in enumerate(zip(ids, places, strict=True)):
@@ -87,7 +79,8 @@ def sightings_in(message: Any, kind: str, given: BearingsTopic) -> Iterator[Sigh
         else:
             if hasattr(place, "results"):
                 name, place = _detection(place)
-            located = _ahead_left_up(place, axes)
+            x, y, z = place.x, place.y, place.z
+            located = (x, y, z) if axes == "body" else (z, -x, -y)
         yield Sighting(id_text(name), located, **more)
 
 
@@ -194,21 +187,14 @@ def _axes(message: Any, given: BearingsTopic, layout: Layout) -> str:
     """Return the convention of the axes of positions: of the layout, or else of the frame."""
     frame = frame_of(message)
     if not layout.axes and frame in FIXED_FRAMES:
-        raise InputError(
-            f"its points are in the fixed frame {frame}, so they are no bearings",
-            advice="use a topic with points in the frame of the camera",
-        )
+        problem = f"its points are in the fixed frame {frame}, so they are no bearings"
+        raise InputError(problem, advice="use a topic with points in the frame of the camera")
     return given.axes or layout.axes or axes_of(frame, given)
 
 
 def axes_of(frame: str, given: BearingsTopic) -> str:
     """Return the given axes of a camera's frame, or else those that its name implies (REP 103)."""
     return given.axes or ("optical" if frame.endswith(("optical_frame", "optical")) else "body")
-
-
-def _ahead_left_up(point: Any, axes: str) -> tuple[float, float, float]:
-    """Return the position of a point in the body axes of its frame [m]."""
-    return (point.x, point.y, point.z) if axes == "body" else (point.z, -point.x, -point.y)
 
 
 NOT_DECODED = 255

@@ -117,16 +117,14 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
     where several topics are equally suitable and none is named, or where there are no images.
     """
     true = [t.name for t in survey.topics if t.count and TRUE_PATH.search(t.name.lower())]
-    odometry = given.odometry or next(
-        (
-            OdometryTopic(topic=t.name)
-            for t in _of_best_type(survey, "odometry", (*TWISTS, MODULE_STATES), true)
-        ),
-        None,
-    )
-    odometry = odometry or only_candidate(survey, OdometryTopic)
+    odometry = given.odometry
+    if odometry is None:
+        found = _of_best_type(survey, "odometry", (*TWISTS, MODULE_STATES), true)
+        guesses = (OdometryTopic(topic=t.name) for t in found)
+        odometry = next(guesses, None) or only_candidate(survey, OdometryTopic)
     odometry = None if odometry is None else with_fields(survey, odometry)
-    home = given.home or (HomeFrom(topic=OUR_HOME) if _has(survey, OUR_HOME, BEARINGS) else None)
+    is_ours = any(t.name == OUR_HOME and t.type == BEARINGS and t.count for t in survey.topics)
+    home = given.home or (HomeFrom(topic=OUR_HOME) if is_ours else None)
     types = PICTURES if pictures else tuple(SIGHTINGS)
     taken = (OUR_HOME, None if home is None else home.topic)
     bearings = given.bearings or tuple(
@@ -137,8 +135,8 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
         raise InputError("the log contains no images", survey.log.path, advice=advice)
     if not bearings and survey.tag_frames:
         bearings = (_with_frames(survey, BearingsTopic(topic=survey.tag_frames[0].topic)),)
-    if not (bearings or pictures) and (found := only_candidate(survey, BearingsTopic)):
-        bearings = (found,)
+    if not (bearings or pictures) and (only := only_candidate(survey, BearingsTopic)):
+        bearings = (only,)
     used = {t.topic for t in (odometry, *given.bearings) if t is not None}
     poses = [n for n in true if n not in used and survey.topic(n).type in POSES]
     truth = given.truth or (TruthTopic(topic=poses[0]) if len(poses) == 1 else None)
@@ -211,13 +209,11 @@ def _with_frames(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
         problem = "several sets of frames look like tags" if found else "no frames look like tags"
         sets = f": {'; '.join(map(str, found))}" if found else ""
         example = found[0].frames if found else "tag36h11:*"
-        raise InputError(
-            problem + sets,
-            survey.log.path,
-            part=given.topic,
-            advice="name the frames of the landmarks under bearings in a topics file, "
-            f'as in {{topic: {given.topic}, frames: "{example}"}}',
+        advice = (
+            "name the frames of the landmarks under bearings in a topics file, "
+            f'as in {{topic: {given.topic}, frames: "{example}"}}'
         )
+        raise InputError(problem + sets, survey.log.path, part=given.topic, advice=advice)
     return given.model_copy(update={"frames": found[0].frames})
 
 
@@ -226,19 +222,14 @@ def _with_camera(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
     if given.camera is not None or survey.topic(given.topic).type not in IN_IMAGE:
         return given
     found = [t.name for t in survey.topics if t.type == CAMERA_INFO and t.count]
-    if not found:
-        return given
-    return given.model_copy(update={"camera": max(found, key=lambda n: _shared(n, given.topic))})
+    nearest = max(found, key=lambda name: _shared(name, given.topic), default=None)
+    return given.model_copy(update={"camera": nearest})
 
 
 def _shared(a: str, b: str) -> int:
     """Return the number of leading parts that two topics share."""
     pairs = list(zip(a.split("/"), b.split("/"), strict=False))
     return next((i for i, (x, y) in enumerate(pairs) if x != y), len(pairs))
-
-
-def _has(survey: TopicSurvey, name: str, kind: str) -> bool:
-    return any(t.name == name and t.type == kind and t.count for t in survey.topics)
 
 
 def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> None:
@@ -263,8 +254,6 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
             advice = "name a topic of another type"
             if what == "bearings":
                 advice += ", or convert it to geometry_msgs/PoseStamped with a topic per landmark"
-            raise InputError(
-                f"{name} is a {kind}, {problem}, so it cannot be used under {what}",
-                survey.log.path,
-                advice=f"{advice}; homeward info lists suitable topics",
-            )
+            problem = f"{name} is a {kind}, {problem}, so it cannot be used under {what}"
+            advice = f"{advice}; homeward info lists suitable topics"
+            raise InputError(problem, survey.log.path, advice=advice)

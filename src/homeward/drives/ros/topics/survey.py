@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from array import array
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -262,7 +262,12 @@ class MessageTimes:
             require_overlap(self._spans(topics), OTHER_CLOCKS)
             for topic in topics.values():
                 _require_steady_clock(topic)
-            self.remarks = _delay_remarks(topics.values())
+            delays = [(t, t.clock.median) for t in topics.values() if t.clock is not None]
+            for topic, delay in delays:
+                first, usual = delays[0]
+                if abs(delay - usual) > MAX_DELAY_S:
+                    words = OTHER_DELAY.format(topic.name, delay, first.name, usual)
+                    self.remarks[words] = topic.count
         stamps = [s for t in topics.values() if (s := self._stamps(t)).size]
         merged = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
         self._epoch = epoch_of(merged) if epoch is None else epoch
@@ -270,12 +275,9 @@ class MessageTimes:
     def time(self, message: Message, decoded: Any) -> float:
         """Return the time [s] of a message, also given decoded."""
         epoch = self._epoch or 0
-        if not self._by_header:
-            return seconds(message.receive, epoch)
-        if not hasattr(decoded, "header"):
-            return seconds(message.receive - self._shift, epoch)
-        stamp = decoded.header.stamp
-        if _may_lack_stamps(message.channel.type) and not (stamp.sec or stamp.nanosec):
+        stamp = decoded.header.stamp if self._by_header and hasattr(decoded, "header") else None
+        may_lack = _may_lack_stamps(message.channel.type)
+        if stamp is None or (may_lack and not (stamp.sec or stamp.nanosec)):
             return seconds(message.receive - self._shift, epoch)
         residue = getattr(decoded, "residue", 0.0)
         if not np.isfinite(residue):
@@ -299,9 +301,8 @@ class MessageTimes:
         return spans
 
     def _stamps(self, topic: Topic) -> np.ndarray:
-        if not self._by_header:
-            return topic.receive
-        if topic.header is None or (_may_lack_stamps(topic.type) and not topic.is_stamped):
+        is_lacking = _may_lack_stamps(topic.type) and not topic.is_stamped
+        if not self._by_header or topic.header is None or is_lacking:
             return topic.receive - self._shift
         return topic.header
 
@@ -316,23 +317,10 @@ def _recorder_ahead(topics: dict[str, Topic]) -> int:
     for topic in topics.values():
         is_needed = topic.header is not None and not _may_lack_stamps(topic.type)
         if is_needed and topic.count and not topic.is_stamped:
-            raise InputError(
-                "its headers have no stamps",
-                part=topic.name,
-                advice="set clock: receive in a topics file to use the recorder's times",
-            )
+            advice = "set clock: receive in a topics file to use the recorder's times"
+            raise InputError("its headers have no stamps", part=topic.name, advice=advice)
     offsets = [t.clock.median for t in topics.values() if t.clock is not None]
     return round(float(np.median(offsets)) * NANO) if offsets else 0
-
-
-def _delay_remarks(topics: Iterable[Topic]) -> dict[str, int]:
-    """Return remarks on topics whose delay from stamp to recorder is not that of the first."""
-    delays = [(t, t.clock.median) for t in topics if t.clock is not None]
-    return {
-        OTHER_DELAY.format(topic.name, delay, delays[0][0].name, delays[0][1]): topic.count
-        for topic, delay in delays
-        if abs(delay - delays[0][1]) > MAX_DELAY_S
-    }
 
 
 def _require_steady_clock(topic: Topic) -> None:
