@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -51,6 +51,21 @@ IMPORT_ADVICE = "; use homeward import to convert tables with other columns"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN, TILT)
 OPTIONAL_COLUMNS = frozenset({"sigma", "range", "range_sigma", "elevation"})
 CAMERA = "camera"
+_IDS = identifiers_or_empty
+COLUMNS: Mapping[str, tuple[Mapping[str, Parser], Mapping[str, Parser]]] = {
+    ODOMETRY: (
+        {"t": numbers, "v": numbers_or_nan, "omega": numbers_or_nan},
+        {"vy": numbers_or_nan},
+    ),
+    BEARINGS: (
+        {"t": numbers, "bearing": numbers, "landmark": _IDS},
+        {**dict.fromkeys(sorted(OPTIONAL_COLUMNS), numbers_or_nan), CAMERA: _IDS},
+    ),
+    HOME: ({"landmark": _IDS, "bearing": numbers}, {"sigma": numbers_or_nan, CAMERA: _IDS}),
+    TRUTH: (dict.fromkeys(("t", "x", "y", "heading"), numbers), {}),
+    TILT: (dict.fromkeys(("t", "roll", "pitch"), numbers), {}),
+}
+"""Required and optional columns of each file."""
 SORTED = "rows of {} were out of order; sorted by time"
 SIGNS_CHANGED = (
     "bearings with a sign that homeward import changed to fit the yaw rates; if these are wrong, "
@@ -195,13 +210,12 @@ def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
         return table
     if late.max() > MAX_DELAY_S and not _by_landmarks(table):
         i = int(np.argmax(late > MAX_DELAY_S))
-        raise InputError(
+        problem = (
             f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
-            f"{float(t[: i + 1].max())!r}, by more than {MAX_DELAY_S:g} s",
-            table.file,
-            int(table.row[i]),
-            advice="split the table where a clock was set back or another drive begins",
+            f"{float(t[: i + 1].max())!r}, by more than {MAX_DELAY_S:g} s"
         )
+        advice = "split the table where a clock was set back or another drive begins"
+        raise InputError(problem, table.file, int(table.row[i]), advice=advice)
     order = np.argsort(t, kind="stable")
     remarks[SORTED.format(what)] = int((late > 0).sum())
     return table.rows(order)
@@ -227,14 +241,14 @@ def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table
     """
     table.require_rows()
     table.require_order()
-    kept = table.last_of_equal_stamps()
+    t = table["t"]
+    kept = table.rows(np.append(t[1:] != t[:-1], True)[: t.size])
     if len(table) >= MIN_ROWS and len(kept) < MIN_STAMPS * len(table):
-        raise InputError(
+        problem = (
             f"the {len(table):,} rows have {len(kept):,} different stamps, as if a spreadsheet had "
-            "rounded them",
-            table.file,
-            advice="export all digits of the times",
+            "rounded them"
         )
+        raise InputError(problem, table.file, advice="export all digits of the times")
     if len(kept) < len(table):
         remarks[reason] = len(table) - len(kept)
     return kept
@@ -254,13 +268,6 @@ def wrapped(table: Table, name: str, remarks: dict[str, int]) -> np.ndarray:
     return np.where(inside, angle, np.clip(wrap(angle), np.nextafter(-math.pi, 0), math.pi))
 
 
-def _count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
-    """Count in `remarks` the repeated sightings of a landmark at one stamp."""
-    landmark, frames = sightings.landmark, _frames_of_several(sightings)
-    if repeats := sum(n - len(set(landmark[a : a + n].tolist())) for a, n in frames):
-        remarks[REPEATED_SIGHTINGS] = repeats
-
-
 def _frames_of_several(sightings: Sightings) -> Iterator[tuple[int, int]]:
     """Yield the first row and the number of rows of each frame with more than one sighting."""
     starts = sightings.begins
@@ -269,22 +276,24 @@ def _frames_of_several(sightings: Sightings) -> Iterator[tuple[int, int]]:
     yield from zip(starts.tolist(), sizes.tolist(), strict=True)
 
 
+def _read(file: str, path: Path, remarks: dict[str, int]) -> Table:
+    """Read a table with the columns of a file of a drive folder."""
+    required, optional = COLUMNS[file]
+    return read_csv(path, required, optional, advice=IMPORT_ADVICE, remarks=remarks)
+
+
 def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     """Read odometry.csv (t, v, omega[, vy]); `remarks` lists anomalies of stamps and motion.
 
     A row in which both v and omega are empty starts an interval of unknown motion.
     """
-    columns = {"t": numbers, "v": numbers_or_nan, "omega": numbers_or_nan}
-    table = read_csv(path, columns, {"vy": numbers_or_nan}, advice=IMPORT_ADVICE, remarks=remarks)
+    table = _read(ODOMETRY, path, remarks)
     for name in sorted(table.columns.keys() - {"t"}):
         empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
         if empty.any():
+            advice = "leave all speeds empty where the motion is unknown"
             raise InputError(
-                "empty",
-                path,
-                int(table.row[np.argmax(empty)]),
-                part=name,
-                advice="leave all speeds empty where the motion is unknown",
+                "empty", path, int(table.row[np.argmax(empty)]), part=name, advice=advice
             )
     return odometry_of(table, remarks)
 
@@ -300,13 +309,7 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
 
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
     """Read a bearings.csv; columns, errors and remarks as `read_folder`."""
-    columns: dict[str, Parser] = {"t": numbers, "bearing": numbers}
-    columns["landmark"] = identifiers_or_empty
-    optional: dict[str, Parser] = dict.fromkeys(OPTIONAL_COLUMNS, numbers_or_nan)
-    optional[CAMERA] = identifiers_or_empty
-    return sightings_of(
-        read_csv(path, columns, optional, advice=IMPORT_ADVICE, remarks=remarks), remarks
-    )
+    return sightings_of(_read(BEARINGS, path, remarks), remarks)
 
 
 def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
@@ -323,7 +326,9 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
         number = np.unique(cameras[0].astype(str), return_inverse=True)[1]
         sightings = sightings.rows(np.lexsort((number, sightings.t)))
     sightings = _with_keys(sightings, remarks)
-    _count_repeats(sightings, remarks)
+    landmark, frames = sightings.landmark, _frames_of_several(sightings)
+    if repeats := sum(n - len(set(landmark[a : a + n].tolist())) for a, n in frames):
+        remarks[REPEATED_SIGHTINGS] = repeats
     return sightings
 
 
@@ -362,11 +367,7 @@ def _classes(sightings: Sightings) -> dict[str, int]:
 
 def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Read a home.csv (landmark, bearing[, sigma][, camera]); as `read_folder`."""
-    columns: dict[str, Parser] = {"landmark": identifiers_or_empty, "bearing": numbers}
-    optional: dict[str, Parser] = {"sigma": numbers_or_nan, CAMERA: identifiers_or_empty}
-    return home_of(
-        read_csv(path, columns, optional, advice=IMPORT_ADVICE, remarks=remarks), remarks
-    )
+    return home_of(_read(HOME, path, remarks), remarks)
 
 
 def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
@@ -418,8 +419,7 @@ def read_samples(kind: type[Sampled], path: Path, remarks: dict[str, int]) -> Sa
     """Read truth.csv (t, x, y, heading) or tilt.csv (t, roll, pitch); None where it is absent."""
     if not is_there(path):
         return None
-    columns = {column.name: numbers for column in fields(kind)}
-    return samples_of(kind, read_csv(path, columns, advice=IMPORT_ADVICE, remarks=remarks), remarks)
+    return samples_of(kind, _read(TRUTH if kind is Truth else TILT, path, remarks), remarks)
 
 
 def samples_of(kind: type[Sampled], table: Table, remarks: dict[str, int]) -> Sampled:
@@ -453,33 +453,28 @@ def _write_files(drive: Drive, scratch: Path, folder: Path, commented: bool) -> 
 
 
 def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
-    """Return the columns of each CSV file of a drive."""
-    home, seen = drive.home, drive.sightings
+    """Return the columns of each CSV file of a drive, without optional ones that have no value."""
+    home, ids = drive.home.values(), [without_number(str(i)) for i in drive.sightings.landmark]
     files = {
         ODOMETRY: dict(vars(drive.odometry)),
-        BEARINGS: {
-            **vars(seen),
-            "landmark": np.array([without_number(str(i)) for i in seen.landmark], object),
-        },
+        BEARINGS: vars(drive.sightings) | {"landmark": np.array(ids, object)},
         HOME: {
-            "landmark": np.array([without_number(key) for key in home], object),
-            "bearing": np.array([seen.bearing for seen in home.values()], float),
-            "sigma": np.array([seen.sigma for seen in home.values()], float),
-            CAMERA: np.array([seen.camera for seen in home.values()], object),
+            "landmark": np.array([*map(without_number, drive.home)], object),
+            "bearing": np.array([seen.bearing for seen in home], float),
+            "sigma": np.array([seen.sigma for seen in home], float),
+            CAMERA: np.array([seen.camera for seen in home], object),
         },
     }
     if not drive.odometry.moves_sideways:
         del files[ODOMETRY]["vy"]
-    for columns in (files[BEARINGS], files[HOME]):
-        if not any(columns[CAMERA]):
-            del columns[CAMERA]
-        for name in OPTIONAL_COLUMNS & columns.keys():
-            if np.isnan(columns[name]).all():
-                del columns[name]
-    if drive.truth is not None:
-        files[TRUTH] = dict(vars(drive.truth))
-    if drive.tilt is not None:
-        files[TILT] = dict(vars(drive.tilt))
+    for name, samples in ((TRUTH, drive.truth), (TILT, drive.tilt)):
+        if samples is not None:
+            files[name] = dict(vars(samples))
+    for name, columns in files.items():
+        for column in COLUMNS[name][1].keys() & columns.keys() - {"vy"}:
+            values = columns[column]
+            if not any(values) if column == CAMERA else np.isnan(values).all():
+                del columns[column]
     return files
 
 
@@ -488,9 +483,8 @@ def _cells(column: str, values: np.ndarray, file: Path, may_lack: bool) -> list[
     if column in ("landmark", CAMERA):
         ids = [str(value) for value in values]
         if bad := [i for i in ids if i and not is_identifier(i)]:
-            raise InputError(
-                f"{column} {quoted(bad[0])} is not a valid id (printable, no outer spaces)", file
-            )
+            problem = f"{column} {quoted(bad[0])} is not a valid id (printable, no outer spaces)"
+            raise InputError(problem, file)
         return ids
     missing = np.isnan(values) if may_lack else np.zeros(values.shape, bool)
     if not (missing | np.isfinite(values)).all():

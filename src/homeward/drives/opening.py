@@ -12,8 +12,10 @@ from homeward.drives.drive import Drive
 from homeward.drives.folder import (
     BEARINGS,
     HOME,
+    KNOWN,
     ODOMETRY,
     SETTINGS,
+    TILT,
     is_drive_folder,
     read_folder,
     read_home,
@@ -115,11 +117,8 @@ def open_drive(
     elif chosen is not None:
         when = chosen
     elif when is not None and drive.home:
-        raise InputError(
-            f"home is given twice, in {HOME} and under home in {SETTINGS}",
-            place,
-            advice="remove one of them",
-        )
+        problem = f"home is given twice, in {HOME} and under home in {SETTINGS}"
+        raise InputError(problem, place, advice="remove one of them")
     with naming_file(place):
         drive = with_sense_remark(drive)
         if when is None:
@@ -134,9 +133,8 @@ def _truth_from_home(drive: Drive, place: Path) -> Drive:
     if drive.settings.truth is None:
         return drive
     if drive.truth is None:
-        raise InputError(
-            "truth: the drive has no ground truth", place, part=SETTINGS, advice="remove the key"
-        )
+        problem = "truth: the drive has no ground truth"
+        raise InputError(problem, place, part=SETTINGS, advice="remove the key")
     settings = drive.settings.model_copy(update={"truth": None})
     truth = drive.truth.seen_from(Pose(*drive.settings.truth.home))
     return dataclasses.replace(drive, settings=settings, truth=truth)
@@ -174,9 +172,8 @@ def kind_of(place: Path) -> str:
         more = others * (tables == [place])
         raise InputError("not a drive yet", place, advice=f"convert its tables with `{way}`{more}")
     if logs := sorted(file.name for file in place.glob("*.bag")):
-        raise InputError(
-            "a folder of logs", place, advice=f"give one: {', '.join(map(quoted, logs[:4]))}"
-        )
+        advice = f"give one: {', '.join(map(quoted, logs[:4]))}"
+        raise InputError("a folder of logs", place, advice=advice)
     from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 
     if is_mrclam(place):
@@ -237,18 +234,12 @@ def save_drive(
     if place.suffix not in LOG_SUFFIXES:
         write_folder(drive, place, commented=commented)
         return "drive folder"
-    if drive.known.is_given:
-        raise _not_in_a_log("landmarks.yaml", place)
-    if drive.tilt is not None:
-        raise _not_in_a_log("tilt.csv", place)
+    for file, is_given in ((KNOWN, drive.known.is_given), (TILT, drive.tilt is not None)):
+        if is_given:
+            advice = "write a drive folder instead"
+            raise InputError(f"a log cannot contain {file}", place, advice=advice)
     # Imported here only: rosbags loads slowly.
     from homeward.drives.ros.writing import write_log
 
     write_log(drive, place, on_progress)
     return {".bag": "ROS 1 bag", ".mcap": "MCAP file", ".db3": "ROS 2 bag (sqlite3)"}[place.suffix]
-
-
-def _not_in_a_log(name: str, place: Path) -> InputError:
-    """Return the error of a drive with a file that a log cannot contain."""
-    problem, advice = f"a log cannot contain {name}", "write a drive folder instead"
-    return InputError(problem, place, advice=advice)

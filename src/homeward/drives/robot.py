@@ -32,9 +32,8 @@ def known_home(home: Home) -> dict[str, HomeBearing]:
     """Return validated home bearings; `InputError` for a wrong type or number."""
     home = keyed(home)
     if not isinstance(home, Mapping):
-        raise InputError(
-            f"home is a {type(home).__name__} instead of bearings [rad] by landmark id"
-        )
+        problem = f"home is a {type(home).__name__} instead of bearings [rad] by landmark id"
+        raise InputError(problem)
     return {name: _home_bearing(name, seen) for name, seen in home.items()}
 
 
@@ -42,10 +41,9 @@ def known_robot(robot: Robot) -> DriveSettings:
     """Return validated settings of a robot; `InputError` names the wrong key."""
     known = validated(DriveSettings, {k: v for k, v in robot.items() if v is not None})
     if given := known.odometry.corrections:
-        raise InputError(
-            f"odometry: {', '.join(given)}: an estimator takes corrected twists",
-            advice="correct them with OdometryNoise.corrected, and leave these keys out",
-        )
+        problem = f"odometry: {', '.join(given)}: an estimator takes corrected twists"
+        advice = "correct them with OdometryNoise.corrected, and leave these keys out"
+        raise InputError(problem, advice=advice)
     return known
 
 
@@ -205,12 +203,8 @@ def as_recorded(drive: Drive) -> Drive:
     """Return a drive as it was before `with_calibration`, with the corrections in its settings."""
     if drive.recorded is None:
         return drive
-    given = drive.recorded.settings
-    kept = {
-        "odometry": given.odometry,
-        "bearings_late": given.bearings_late,
-        "wheels": given.wheels,
-    }
+    corrections = "odometry", "bearings_late", "wheels"
+    kept = {key: getattr(drive.recorded.settings, key) for key in corrections}
     return dataclasses.replace(
         drive,
         odometry=drive.recorded.odometry,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Self, TypedDict, TypeVar
+from typing import Annotated, Any, Self, TypedDict, TypeVar, cast
 
 import numpy as np
 
@@ -376,15 +376,7 @@ class DriveSettings(RobotSettings):
     @property
     def robot(self) -> Robot:
         """Keyword arguments of an estimator: ``Localizer(home, **settings.robot)``."""
-        return {
-            "sensor": self.sensor,
-            "cameras": self.cameras,
-            "home_sensor": self.home_sensor,
-            "odometry": self.odometry,
-            "start": self.start,
-            "together": self.together,
-            "covariance_scale": self.covariance_scale,
-        }
+        return cast(Robot, {key: getattr(self, key) for key in Robot.__annotations__})
 
     def mount_of(self, camera: str) -> Mount:
         """Return the extrinsics of a camera; those under `sensor` for all names but others."""

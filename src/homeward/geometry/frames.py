@@ -89,9 +89,7 @@ def to_polar(pose: Pose) -> Polar:
 def from_polar(polar: Polar) -> Pose:
     """Return the pose in the home frame; a negative R is opposite to theta."""
     return Pose(
-        polar.R * apply("cos", polar.theta),
-        polar.R * apply("sin", polar.theta),
-        wrap(polar.alpha),
+        polar.R * apply("cos", polar.theta), polar.R * apply("sin", polar.theta), wrap(polar.alpha)
     )
 
 

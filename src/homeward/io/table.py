@@ -91,16 +91,8 @@ class Table:
         late = np.flatnonzero(t[1:] < t[:-1])
         if late.size:
             i = int(late[0]) + 1
-            raise InputError(
-                f"time runs backwards: {float(t[i])!r} after {float(t[i - 1])!r}",
-                self.file,
-                int(self.row[i]),
-            )
-
-    def last_of_equal_stamps(self) -> Table:
-        """Return the table with only the last of the entries that share a `t`."""
-        t = self["t"]
-        return self.rows(np.append(t[1:] != t[:-1], True)[: t.size])
+            problem = f"time runs backwards: {float(t[i])!r} after {float(t[i - 1])!r}"
+            raise InputError(problem, self.file, int(self.row[i]))
 
     def rows(self, use: np.ndarray) -> Table:
         """Return some rows: a mask (n,), or their numbers."""
@@ -273,7 +265,7 @@ def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
             return values
     except ValueError:
         pass
-    i = next(i for i, cell in enumerate(cells) if not _is_finite_number(cell))
+    i = [_is_number(cell) and math.isfinite(float(cell)) for cell in cells].index(False)
     shown = _shown(cells[i], path)
     problem = "must be a finite number" + f", not{shown}" * bool(shown)
     raise InputError(problem if cells[i].strip() else "empty", path, rows[i], part=name)
@@ -295,11 +287,7 @@ numbers_or_nan = with_default(numbers, math.nan)
 
 
 def identifiers(
-    name: str,
-    cells: Sequence[str],
-    rows: Sequence[int],
-    path: Path,
-    may_be_empty: bool = False,
+    name: str, cells: Sequence[str], rows: Sequence[int], path: Path, may_be_empty: bool = False
 ) -> np.ndarray:
     """Parse ids: any printable text, without the white space around it.
 
@@ -335,13 +323,6 @@ def _shown(text: str, path: Path) -> str:
 def quoted(text: str) -> str:
     """Quote and shorten untrusted text for a message."""
     return repr(text if len(text) <= 40 else text[:40] + "...")
-
-
-def _is_finite_number(cell: str) -> bool:
-    try:
-        return math.isfinite(float(cell)) and "_" not in cell
-    except ValueError:
-        return False
 
 
 @contextmanager
@@ -401,10 +382,7 @@ def with_values(fields: list[str], arrays: Sequence[int]) -> list[str]:
 
 
 def _column_indices(
-    header: list[str],
-    wanted: Mapping[str, Parser],
-    path: Path,
-    row: int,
+    header: list[str], wanted: Mapping[str, Parser], path: Path, row: int
 ) -> dict[str, int]:
     """Return the indices of the wanted columns in the header."""
     indices: dict[str, list[int]] = {}

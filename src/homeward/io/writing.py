@@ -153,11 +153,8 @@ def check_output(directory: Path, marker: str) -> None:
         return
     names = {p.name for p in directory.iterdir() if not p.name.startswith(SCRATCH)}
     if names and marker not in names:
-        raise InputError(
-            f"contains other files and no {marker} of earlier output",
-            directory,
-            advice="choose another output folder",
-        )
+        problem = f"contains other files and no {marker} of earlier output"
+        raise InputError(problem, directory, advice="choose another output folder")
 
 
 @contextmanager

@@ -92,9 +92,8 @@ def _tree(data: bytes, path: Path) -> Any:
 def _of_xml(text: str, path: Path) -> dict[str, Any]:
     """Return the keys and values of OpenCV's XML; matrices as in its YAML."""
     if "<!" in text.replace("<!--", ""):  # entities may expand without limit
-        raise InputError(
-            "XML with a document type", path, advice="remove the lines that begin with <!"
-        )
+        advice = "remove the lines that begin with <!"
+        raise InputError("XML with a document type", path, advice=advice)
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
@@ -109,11 +108,8 @@ def _of_colmap(line: str, path: Path) -> tuple[str, dict[str, Any]]:
     """Return the id of a camera and the keys of a `Lens` from a line of COLMAP."""
     name, model, width, height, *numbers = re.split(r"[,\s]+", line.strip())
     if model not in COLMAP:
-        raise InputError(
-            f"the model {quoted(model)} is not supported",
-            path,
-            advice=f"use one of {', '.join(COLMAP)}",
-        )
+        advice = f"use one of {', '.join(COLMAP)}"
+        raise InputError(f"the model {quoted(model)} is not supported", path, advice=advice)
     kind, focal, count = COLMAP[model]
     values = [float(number) for number in numbers]
     if len(values) != focal + 2 + count:
@@ -135,11 +131,10 @@ def _values(tree: Mapping[str, Any], camera: str, path: Path) -> dict[str, Any]:
         raise InputError(UNKNOWN, path)
     if camera not in cameras and (camera or len(cameras) > 1):
         names, first = [quoted(name) for name in cameras], next(iter(cameras))
-        raise InputError(
-            f"contains {'several cameras' if len(names) > 1 else 'the camera'}, {listing(names)}",
-            path,
-            advice=f"name one, as in {path.name}#{first}",
+        problem = (
+            f"contains {'several cameras' if len(names) > 1 else 'the camera'}, {listing(names)}"
         )
+        raise InputError(problem, path, advice=f"name one, as in {path.name}#{first}")
     return _of_one(cameras.get(camera) or next(iter(cameras.values())), path)
 
 
@@ -179,12 +174,11 @@ def _model_of(d: list[float], fisheye: Any, path: Path) -> str:
     if fisheye is not None and float(fisheye):
         return "equidistant"
     if len(d) == 4 and any(d) and fisheye is None:
-        raise InputError(
-            "4 distortion coefficients of an unknown model",
-            path,
-            advice="add the line distortion_model: plumb_bob (of cv2.calibrateCamera), "
-            "or equidistant (of cv2.fisheye.calibrate)",
+        advice = (
+            "add the line distortion_model: plumb_bob (of cv2.calibrateCamera), "
+            "or equidistant (of cv2.fisheye.calibrate)"
         )
+        raise InputError("4 distortion coefficients of an unknown model", path, advice=advice)
     return "plumb_bob" if len(d) <= 5 else "rational_polynomial"
 
 
@@ -213,11 +207,8 @@ def ros_values(k: Any, d: Any, model: str) -> dict[str, Any]:
 def _of_kalibr(camera: Mapping[str, Any], path: Path) -> dict[str, Any]:
     kind, model = camera.get("camera_model"), camera.get("distortion_model")
     if kind != "pinhole" or len(camera["intrinsics"]) != 4:
-        raise InputError(
-            f"camera_model {quoted(str(kind))} is not supported",
-            path,
-            advice="use pinhole with 4 intrinsics",
-        )
+        advice = "use pinhole with 4 intrinsics"
+        raise InputError(f"camera_model {quoted(str(kind))} is not supported", path, advice=advice)
     width, height = camera.get("resolution", (None, None))
     return {
         **dict(zip(("fx", "fy", "cx", "cy"), camera["intrinsics"], strict=True)),

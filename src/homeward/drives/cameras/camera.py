@@ -163,10 +163,15 @@ def sizes_of(names: Sequence[str], size: TagSize | None) -> np.ndarray:
     return np.full(len(names), math.nan if size is None else size)
 
 
+def rays_of(pixels: np.ndarray, camera: Camera, shape: Shape) -> np.ndarray:
+    """Return the rays (..., 3) of pixels (..., 2)."""
+    seen = camera.directions(pixels[..., 0].ravel(), pixels[..., 1].ravel(), shape)
+    return unit_vectors(*seen).reshape(*pixels.shape[:-1], 3)
+
+
 def tag_directions(corners: np.ndarray, camera: Camera, shape: Shape) -> Directions:
     """Return azimuth and elevation [rad], (...), of the centres of tags (..., 4, 2) [px]."""
-    seen = camera.directions(corners[..., 0].ravel(), corners[..., 1].ravel(), shape)
-    rays = unit_vectors(*seen).reshape(*corners.shape[:-1], 3)
+    rays = rays_of(corners, camera, shape)
     one, two = (np.cross(rays[..., i, :], rays[..., i + 2, :]) for i in (0, 1))
     centre = np.cross(one, two)
     # Corners on one line, or all in one point, have no crossing.

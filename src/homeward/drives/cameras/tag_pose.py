@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from homeward.drives.cameras.camera import MIN_TAG_AREA, Camera, Shape, unit_vectors
+from homeward.drives.cameras.camera import MIN_TAG_AREA, Camera, Shape, rays_of
 
 SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
 """Corners in the tag's frame, in lengths of its side."""
@@ -101,9 +101,9 @@ def tag_poses(
     area = np.sum(u * np.roll(v, -1, axis=1) - v * np.roll(u, -1, axis=1), axis=1)
     corners = np.where((area < 0)[:, None, None], corners[:, ::-1], corners)
     out: list[TagPose | None] = [None] * len(corners)
-    view = _view(_rays(corners, camera, shape))
+    view = _view(rays_of(corners, camera, shape))
     half = 0.5 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    points = _rays(corners + half[:, None, None], camera, shape) @ view
+    points = rays_of(corners + half[:, None, None], camera, shape) @ view
     flat, right, left, below, above = points[..., :2] / points[..., 2:]
     sides = np.roll(flat, -1, axis=1) - flat
     after = np.roll(sides, -1, axis=1)
@@ -158,12 +158,6 @@ def _choice(use: np.ndarray, one: _Fit, two: _Fit) -> _Fit:
     """Return the solutions of one where `use`, (n,), else of two."""
     pairs = zip(one, two, strict=True)
     return _Fit(*(np.where(use.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))
-
-
-def _rays(corners: np.ndarray, camera: Camera, shape: Shape) -> np.ndarray:
-    """Return the rays (..., 3) of pixels (..., 2)."""
-    seen = camera.directions(corners[..., 0].ravel(), corners[..., 1].ravel(), shape)
-    return unit_vectors(*seen).reshape(*corners.shape[:-1], 3)
 
 
 def _view(rays: np.ndarray) -> np.ndarray:

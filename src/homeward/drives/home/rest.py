@@ -79,7 +79,8 @@ def _with_ids(seen: Sightings) -> tuple[list[tuple[str, float, str]], dict[str, 
             continue
         if not agree.all():
             outliers[name] = int((~agree).sum())
-        found.append((name, _mean_direction(mine[agree]), camera))
+        mean = np.arctan2(np.sin(mine[agree]).sum(), np.cos(mine[agree]).sum())
+        found.append((name, float(mean), camera))
     remarks = {}
     if outliers:
         shown = listing([quoted(name) for name in sorted(outliers, key=natural)], SHOWN)
@@ -87,10 +88,6 @@ def _with_ids(seen: Sightings) -> tuple[list[tuple[str, float, str]], dict[str, 
     if scattered:
         remarks[INCONSISTENT.format(", ".join(map(quoted, scattered)))] = len(scattered)
     return found, remarks
-
-
-def _mean_direction(bearing: np.ndarray) -> float:
-    return float(np.arctan2(np.sin(bearing).sum(), np.cos(bearing).sum()))
 
 
 def _median_direction(bearing: np.ndarray) -> float:

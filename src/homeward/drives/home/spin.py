@@ -168,14 +168,12 @@ class HomeScan:
     def spin(self) -> Spin:
         """Return the complete result; errors as `home`."""
         if self._too_long:
-            raise InputError(
-                f"the scan of home took more than {MAX_SCAN_S:g} s", advice="start a new one"
-            )
+            advice = "start a new one"
+            raise InputError(f"the scan of home took more than {MAX_SCAN_S:g} s", advice=advice)
         odometry, seen = self._samples.odometry(), self._samples.sightings()
         if not odometry.t.size or not seen.t.size:
-            raise InputError(
-                "no bearings or no odometry at home", advice="send both during the scan"
-            )
+            advice = "send both during the scan"
+            raise InputError("no bearings or no odometry at home", advice=advice)
         span = float(odometry.t[0]), max(float(odometry.t[-1]), float(seen.t[-1]))
         return spin(span, odometry, seen, self.robot)
 

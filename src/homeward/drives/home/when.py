@@ -43,14 +43,11 @@ def with_home(
         return drive
     first, last = time_in(drive, times[0]), drive.span[0] + times[1]
     if drive.settings.home_sensor is not None:
-        raise InputError(
-            "home_sensor does not apply if home comes from this drive",
-            advice="remove it from drive.yaml",
-        )
+        advice = "remove it from drive.yaml"
+        raise InputError("home_sensor does not apply if home comes from this drive", advice=advice)
     if drive.known.surveyed_from_home:
-        raise InputError(
-            "landmarks.yaml already defines home (frame: home)", advice="remove the time at home"
-        )
+        advice = "remove the time at home"
+        raise InputError("landmarks.yaml already defines home (frame: home)", advice=advice)
     drive = _seen_from(drive, first)
     drive = dataclasses.replace(drive, settings=drive.settings.model_copy(update={"home": None}))
     if when.at is not None:
@@ -113,10 +110,8 @@ def _require_still(first: float, last: float, odometry: Odometry) -> None:
     path = np.hypot(odometry.v, odometry.vy) @ within
     turn = np.abs(odometry.omega) @ within
     if path > MAX_STILL_M or turn > MAX_STILL_RAD:
-        raise InputError(
-            f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad",
-            advice="give an interval without motion",
-        )
+        problem = f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad"
+        raise InputError(problem, advice="give an interval without motion")
 
 
 def _seen_at_rest(
