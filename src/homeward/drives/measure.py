@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.cameras.camera import (
-    Camera,
     tag_bearings,
     tag_directions,
     tag_ranges,
     unit_vectors,
 )
+from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Odometry, Sightings, Tilt
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.settings import DriveSettings, Wheels
@@ -56,15 +56,23 @@ def motion(values: Mapping[str, np.ndarray], wheels: Wheels, remarks: dict[str, 
     return without_implausible(Odometry(t, *twist), remarks)
 
 
-def bearings(
-    values: Mapping[str, np.ndarray], camera: Camera | None = None, shape: tuple[int, int] = (0, 0)
-) -> dict[str, np.ndarray]:
+POINT = ("column", "row")
+CORNERS = tuple(f"{role}{k}" for k in range(4) for role in POINT)
+"""Roles of the corners of tags, in order round each."""
+
+
+def corners_of(values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the corners of tags, (n, 4, 2) [px]."""
+    return np.stack([values[role] for role in CORNERS], axis=1).reshape(-1, 4, 2)
+
+
+def bearings(values: Mapping[str, np.ndarray], lens: Lens | None = None) -> dict[str, np.ndarray]:
     """Return bearing, elevation and sigma [rad], and range [m] of sightings, as far as known.
 
     Each is (n,). `values` are forward, left (or right) and optionally up of positions [m]; column
-    and row of pixels of a `camera`; or corners (n, 4, 2) of tags, with the sigma of their
-    coordinates [px] and optionally the size of the tags [m]. A bearing stays as it is. NaN at the
-    origin and for pixels without a ray; `shape` is height and width of the image.
+    and row of pixels of a `lens`; or `CORNERS` of tags, with the sigma of their coordinates [px]
+    and optionally the size of the tags [m]. A bearing stays as it is. NaN at the origin and for
+    pixels without a ray.
     """
     found = {role: values[role] for role in ("bearing", "sigma") if role in values}
     if "forward" in values:
@@ -73,16 +81,15 @@ def bearings(
         ranges = np.where((left == 0) & (forward == 0), np.nan, np.hypot(left, forward))
         found |= {"bearing": np.arctan2(left, forward) + 0 * ranges, "range": ranges}
         return found | ({"elevation": np.arctan2(values["up"], ranges)} if "up" in values else {})
-    if camera is not None and "corners" in values:
-        corners = values["corners"]
-        bearing, sigma = tag_bearings(corners, values["sigma"], camera, shape)
-        elevation = tag_directions(corners, camera, shape)[1]
+    if lens is not None and "column0" in values:
+        corners, shape = corners_of(values), (0, 0)  # on which a lens does not depend
+        bearing, sigma = tag_bearings(corners, values["sigma"], lens, shape)
+        elevation = tag_directions(corners, lens, shape)[1]
         found = {"bearing": bearing, "elevation": elevation, "sigma": sigma}
         if "size" in values:
-            found["range"] = tag_ranges(corners, values["size"], camera, shape)
-    elif camera is not None:
-        seen = camera.directions(values["column"], values["row"], shape)
-        found["bearing"], found["elevation"] = seen
+            found["range"] = tag_ranges(corners, values["size"], lens, shape)
+    elif lens is not None:
+        found["bearing"], found["elevation"] = lens.directions(values["column"], values["row"])
     return found
 
 

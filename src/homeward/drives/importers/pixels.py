@@ -17,15 +17,13 @@ import numpy as np
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.columns import KINDS, Column, assigned, words_in
 from homeward.drives.importers.sheet import Sheet
-from homeward.drives.measure import bearings
+from homeward.drives.measure import CORNERS, POINT, bearings, corners_of
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.errors import InputError
 from homeward.io.naming import listing
 from homeward.io.settings import validated
 from homeward.io.table import Table, quoted
 
-POINT = ("column", "row")
-CORNERS = tuple(f"{role}{k}" for k in range(4) for role in POINT)
 PIXEL_ROLES = (*POINT, *CORNERS)
 INTRINSICS = ("fx", "fy", "cx", "cy")
 Calibrations = Mapping[str, Lens]
@@ -113,19 +111,18 @@ class Pixels:
 
     def _measured(self, lens: Lens, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return what `measured` returns, of one camera."""
-        shape = (lens.height or 0, lens.width or 0)
         if "row0" in values:
-            corners = _corners(values)[:, self.order]
-            sigma = np.full(len(corners), PIXEL_SIGMA)
-            tags = {"corners": corners, "sigma": sigma}
+            tags = {"sigma": np.full(len(values["row0"]), PIXEL_SIGMA)}
+            for role, (k, axis) in zip(CORNERS, product(self.order, POINT), strict=True):
+                tags[role] = values[f"{axis}{k}"]
             if self.tag_size is not None and "range" not in values:
-                tags["size"] = np.full(len(corners), self.tag_size)
-            return bearings(tags, lens, shape)
+                tags["size"] = np.full(len(values["row0"]), self.tag_size)
+            return bearings(tags, lens)
         if self.is_share:
             values = lens.in_pixels(values)
         column, row = values["column"], values.get("row")
         row = np.full_like(column, lens.cy) if row is None else row
-        return bearings(dict(zip(POINT, _seen(column, row), strict=True)), lens, shape)
+        return bearings(dict(zip(POINT, _seen(column, row), strict=True)), lens)
 
 
 def pixel_columns(
@@ -342,11 +339,6 @@ def _lens_of(table: Table) -> Lens:
     return validated(Lens, known, table.file)
 
 
-def _corners(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return corners (n, 4, 2) [px] of the values by role."""
-    return np.stack([values[role] for role in CORNERS], axis=1).reshape(-1, 4, 2)
-
-
 def _seen(column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return pixels with NaN for landmarks out of view."""
     absent = np.isin(column, ABSENT) & (column == row)
@@ -356,7 +348,7 @@ def _seen(column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _pixels(values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return columns and rows, (n, 1) or (n, 4), NaN for landmarks out of view [px]."""
     if "row0" in values:
-        u, v = np.moveaxis(_corners(values), -1, 0)
+        u, v = np.moveaxis(corners_of(values), -1, 0)
     else:
         u = values["column"][:, None]
         v = values["row"][:, None] if "row" in values else np.full_like(u, np.nan)
@@ -365,7 +357,7 @@ def _pixels(values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 def _order(table: Table) -> tuple[int, ...]:
     """Return the order of corners round the tag, in which the diagonals cross."""
-    corners = _corners(table.columns)
+    corners = corners_of(table.columns)
     shares = []
     for order in ORDERS:
         a, b, c, d = np.moveaxis(corners[:, order], 1, 0)

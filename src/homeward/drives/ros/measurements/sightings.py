@@ -15,7 +15,7 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose, tag_poses
 from homeward.drives.columns import UNITS, unit_in
 from homeward.drives.importers.positions import FIXED_FRAMES, axes_by_spread
-from homeward.drives.measure import bearings
+from homeward.drives.measure import CORNERS, POINT, bearings, corners_of
 from homeward.drives.ros.presets import ALL_SIGHTINGS, ALVAR, IN_PARTS, TRANSFORMS, id_text, values
 from homeward.drives.ros.settings import BearingsTopic, Layout, wildcard_part
 from homeward.drives.ros.stamps import Remarks
@@ -23,12 +23,11 @@ from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.io.table import is_identifier, quoted
 
-CORNER_ROLES = tuple(f"{role}{k}" for k in range(4) for role in ("column", "row"))
 ROLES = {
     "bearing": ("bearing",),
     "position": ("forward", "left", "up"),
-    "pixel": ("column", "row"),
-    "corners": CORNER_ROLES,
+    "pixel": POINT,
+    "corners": CORNERS,
 }
 """Roles of the values that locate a landmark, by the field of `Layout` that has them."""
 
@@ -327,7 +326,7 @@ class SightingRows:
     def _values(self) -> dict[str, np.ndarray]:
         """Return what the messages contain, by role; points in the frame of the reference camera.
 
-        Corners are (n, 4, 2), with the standard deviation and the size of each tag.
+        Corners have the standard deviation and the size of each tag.
         """
         roles = ROLES[self.form]
         rows = np.array([(*seen.values, seen.sigma) for seen in self._kept], float)
@@ -341,12 +340,9 @@ class SightingRows:
             found["forward"], found["left"], _ = compose(self.in_reference, place)
             found["up"] = places[2]
         if self.form == "corners":
-            sigma = np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
-            found = {"corners": np.stack(located, axis=1).reshape(-1, 4, 2), "sigma": sigma}
+            found["sigma"] = np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
             if self.given.tag_size is not None:
-                found["size"] = sizes_of(
-                    [seen.landmark for seen in self._kept], self.given.tag_size
-                )
+                found["size"] = sizes_of(self._names, self.given.tag_size)
         return found
 
     def tag_poses(self) -> dict[str, TagPose]:
@@ -354,7 +350,7 @@ class SightingRows:
         names, values = self._names, self._values()
         camera = self._model().model_copy(update={"roll": 0.0, "pitch": 0.0})
         sizes = values.get("size", np.full(len(names), np.nan))
-        found = tag_poses(values["corners"], values["sigma"], sizes, camera, (0, 0))
+        found = tag_poses(corners_of(values), values["sigma"], sizes, camera, (0, 0))
         return {name: pose for name, pose in zip(names, found, strict=True) if pose is not None}
 
     def _model(self) -> Lens:
