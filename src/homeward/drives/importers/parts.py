@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -59,14 +58,14 @@ class Imported:
         self,
         values: Mapping[str, np.ndarray],
         columns: Iterable[Column] = (),
-        remarks: Mapping[str, int] = MappingProxyType({}),
+        remarks: Mapping[str, int] | None = None,
     ) -> Imported:
         """Return the table with other values by role, other columns, and further remarks."""
         return replace(
             self,
             table=replace(self.table, columns={**self.table.columns, **values}),
             columns={**self.columns, **{column.role: column for column in columns}},
-            remarks={**self.remarks, **remarks},
+            remarks={**self.remarks, **(remarks or {})},
         )
 
     def rows(self) -> Iterator[tuple[str, ...]]:
@@ -143,10 +142,8 @@ class Part:
                 if role == "elevation":  # not shown
                     values[role] = found
                 elif role in (*KINDS[self.kind], *OPTIONAL[self.kind]):
-                    name, unit = (
-                        self.source.formula(columns, role),
-                        "m" if role == "range" else "rad",
-                    )
+                    name = self.source.formula(columns, role)
+                    unit = "m" if role == "range" else "rad"
                     values[role] = found
                     columns[role] = Column(role, name, unit, source=self.source.reason)
             is_seen = np.isfinite(values["bearing"])

@@ -248,10 +248,8 @@ class MessageTimes:
 
     def __init__(self, known: TopicSurvey, plan: LogSettings, epoch: int | None) -> None:
         names = [t.topic for t in (plan.odometry, *plan.bearings, plan.truth) if t is not None]
-        if plan.odometry is not None and plan.odometry.yaw_rate is not None:
-            names.append(plan.odometry.yaw_rate)
-        if plan.tilt is not None:
-            names.append(plan.tilt)
+        yaw_rate = None if plan.odometry is None else plan.odometry.yaw_rate
+        names += [name for name in (yaw_rate, plan.tilt) if name is not None]
         topics = {name: known.topic(name) for name in names}
         self._by_header = plan.clock == "header"
         self._shift = 0
