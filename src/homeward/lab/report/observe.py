@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 
 from homeward.io.writing import whole_folder
 from homeward.lab.observability.lie import printed_matrix, rank_table
+from homeward.lab.observability.scene import Scene
 from homeward.lab.observability.study import ModelView, Trace, observe_motions
+from homeward.lab.observability.words import in_words
 from homeward.lab.studies.observing import DriveView
 from homeward.runs.report import html, words
 from homeward.runs.report.canvas import drawn, name_mark, new_figure, style
@@ -36,7 +38,7 @@ TEXTS = html.texts("homeward.lab.report")["observe"]
 
 def draw_family(view: ModelView) -> Figure:
     """Draw a drive with landmarks, and other homes and landmarks with the same bearings."""
-    scene, q = view.drive.scene, len(view.drive.scene.names)
+    scene, q = view.drive, len(view.drive.names)
     with style():
         figure = new_figure(5.8)
         axes = figure.add_subplot(aspect="equal")
@@ -84,7 +86,7 @@ def _draw_arrow(axes: Axes, pose: np.ndarray, size: float, colour: str) -> None:
 
 def _limit(axes: Axes, view: ModelView) -> None:
     """Set the limits to the scene and the near part of the family."""
-    scene = view.drive.scene
+    scene = view.drive
     real = np.vstack([scene.home[None, :2], scene.landmarks, scene.poses[:, :2]])
     centre, reach = real.mean(axis=0), 1.3 * float(np.ptp(real, axis=0).max())
     homes = [t.homes[:, :2] for t in view.family]
@@ -103,7 +105,7 @@ def _legend(figure: Figure, axes: Axes, view: ModelView) -> None:
     if any(moves):
         label = "other homes with the same bearings"
         axes.plot([], [], marker=HOUSE, ms=8, color=ORANGE, label=label)
-    q = len(view.drive.scene.names)
+    q = len(view.drive.names)
     if any(np.ptp(t.landmarks(q), axis=0).max() > 1e-6 for t in view.family):
         axes.plot([], [], color=SKY, label="their landmarks")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -111,7 +113,8 @@ def _legend(figure: Figure, axes: Axes, view: ModelView) -> None:
 
 def draw_drive_view(view: DriveView) -> Figure:
     """Draw the path coloured by the position error of each window, and that error over time."""
-    drawn = np.vstack([np.zeros((1, 2)), view.poses[:, :2], _near(view)])
+    scene, path = view.scene, view.scene.poses[:, :2]
+    drawn = np.vstack([np.zeros((1, 2)), path, _near(scene)])
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     extent = float((high - low).max())
     margin = 0.05 * extent + 0.2
@@ -127,14 +130,14 @@ def draw_drive_view(view: DriveView) -> Figure:
         sigmas = np.array([w.position_sigma for w in view.windows])
         nearest = np.searchsorted((middles[1:] + middles[:-1]) / 2, view.t)
         lines = LineCollection(
-            list(np.stack([view.poses[:-1, :2], view.poses[1:, :2]], axis=1)),
+            list(np.stack([path[:-1], path[1:]], axis=1)),
             cmap=COLOURS,
             norm=norm,
             lw=2.2,
         )
         lines.set_array(np.minimum(sigmas, WORST_M)[nearest[:-1]])
         top.add_collection(lines)
-        for text, place, stored in zip(view.names, view.places, view.stored, strict=True):
+        for text, place, stored in zip(scene.names, scene.landmarks, scene.stored, strict=True):
             top.plot(*place, "*", ms=9, color=INK if stored else MUTED, mec="white", zorder=5)
             name_mark(top, name(text), place, (7, 4), annotation_clip=True, zorder=8)
         _draw_home(top, np.zeros(3), 0.5 * extent)
@@ -157,11 +160,11 @@ def _draw_time(axes: Axes, view: DriveView, t: np.ndarray, sigmas: np.ndarray) -
         axes.set_ylim(BEST_M, WORST_M)
 
 
-def _near(view: DriveView) -> np.ndarray:
+def _near(scene: Scene) -> np.ndarray:
     """Return the landmarks near the path, shape (k, 2)."""
-    centre = view.poses[:, :2].mean(axis=0)
-    reach = 2.0 + 1.5 * float(np.ptp(view.poses[:, :2], axis=0).max())
-    return np.asarray(view.places[np.abs(view.places - centre).max(axis=1) < reach])
+    centre = scene.poses[:, :2].mean(axis=0)
+    reach = 2.0 + 1.5 * float(np.ptp(scene.poses[:, :2], axis=0).max())
+    return np.asarray(scene.landmarks[np.abs(scene.landmarks - centre).max(axis=1) < reach])
 
 
 SETTINGS_FILE = "observe.yaml"
@@ -229,7 +232,7 @@ def model_summary(view: ModelView) -> str:
     else:
         d = view.drive
         head = (
-            f"{d.title[0].upper()}{d.title[1:]}: {d.found.value} of {d.unknowns} unknowns are"
+            f"{d.title[0].upper()}{d.title[1:]}: {d.rank.value} of {len(d.truth)} unknowns are"
             " observable."
         )
     if not view.freedoms:
@@ -301,9 +304,10 @@ def _landmark_numbers() -> Markup:
 
 def _motions() -> Markup:
     rows = [["Drive", "rank", "Unobservable"]]
-    for view in observe_motions():
-        free = "; ".join(freedom.words for freedom in view.freedoms) or "nothing"
-        rows.append([view.title, f"{view.found.value} of {view.unknowns}", free])
+    for scene in observe_motions():
+        found = scene.rank
+        free = "; ".join(freedom.words for freedom in in_words(scene, found.null)) or "nothing"
+        rows.append([scene.title, f"{found.value} of {len(scene.truth)}", free])
     table = html.table("lrw", rows)
     return html.section("Observability by motion", table, html.note(TEXTS["motions"]))
 
