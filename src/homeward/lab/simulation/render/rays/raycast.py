@@ -32,7 +32,7 @@ def projected(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the m rectangles that face a camera, in its frame; arguments as in `Viewpoint`.
 
-    These are their indices (m,), the matrices M (m, 3, 3), and limits (m, 6): what is added to
+    These are their indices (m,), the matrices M (m, 3, 3), and limits (m, 6): the numbers added to
     q1 / q0 and q2 / q0, and the minimum and maximum of both tile coordinates.
     """
     away = np.einsum("ni,ni->n", surfaces.normal, surfaces.corner - position)
