@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from homeward.lab.observability.study import ModelView, Trace, observe_motions
 from homeward.lab.observability.words import in_words
 from homeward.lab.studies.observing import DriveView
 from homeward.runs.report import html, words
-from homeward.runs.report.canvas import drawn, name_mark, new_figure, style
+from homeward.runs.report.canvas import drawn, name_mark, styled_figure
 from homeward.runs.report.files import write_settings
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
 from homeward.runs.report.words import name
@@ -39,8 +39,7 @@ TEXTS = html.texts("homeward.lab.report")["observe"]
 def draw_family(view: ModelView) -> Figure:
     """Draw a drive with landmarks, and other homes and landmarks with the same bearings."""
     scene, q = view.drive, len(view.drive.names)
-    with style():
-        figure = new_figure(5.8)
+    with styled_figure(5.8) as figure:
         axes = figure.add_subplot(aspect="equal")
         for trace in view.family:
             _draw_trace(axes, trace, q)
@@ -122,8 +121,7 @@ def draw_drive_view(view: DriveView) -> Figure:
     # The height fits the map.
     height = MAP_IN * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 1.2))
     norm = LogNorm(BEST_M, WORST_M, clip=True)
-    with style():
-        figure = new_figure(height + 2.6)
+    with styled_figure(height + 2.6) as figure:
         top, bottom = figure.subplots(2, 1, height_ratios=[height, 1.7])
         top.set_aspect("equal")
         middles = np.array([(w.begin + w.end) / 2 for w in view.windows])
@@ -176,15 +174,11 @@ FIGURE = "observe"
 def write_model_view(directory: Path, view: ModelView, settings: dict[str, Any]) -> None:
     """Write observe.html, observe.png, observe.svg and observe.yaml; errors as `whole_folder`."""
     members = sum(len(t.unknowns) - 1 for t in view.family)
-    text = TEXTS["family"].format(members, same_to(view))
+    text = TEXTS["family"].format(members, same_to(view)) if view.family else ""
     label = "Worlds with equal bearings"
-
-    def own(figure: Markup) -> Markup:
-        heading = label if view.family else "The drive"
-        return html.section(heading, html.figure(figure), html.note(text if view.family else ""))
-
-    title = f"Observability: {view.drive.title}"
-    _write(directory, title, model_summary(view), (label, draw_family(view)), own, settings)
+    heads = f"Observability: {view.drive.title}", label if view.family else "The drive"
+    drawing = label, draw_family(view)
+    _write(directory, heads, model_summary(view), drawing, [html.note(text)], settings)
 
 
 def write_drive_view(directory: Path, view: DriveView, settings: dict[str, Any]) -> None:
@@ -193,15 +187,11 @@ def write_drive_view(directory: Path, view: DriveView, settings: dict[str, Any])
     text = TEXTS["windows"].format(settings["window"], view.path_from, *sigmas)
     missing = view.unplaced
     unplaced = TEXTS["unplaced"].format(words.listing(missing, 20)) if missing else ""
-
-    def own(figure: Markup) -> Markup:
-        table = html.table("rrrrrrw", _window_rows(view))
-        heading = "Observability of the pose in each window"
-        return html.section(heading, html.figure(figure), html.note(text, unplaced), table)
-
+    parts = [html.note(text, unplaced), html.table("rrrrrrw", _window_rows(view))]
     title = f"Observability of {words.name(view.name, 60)}"
-    label = "The path, coloured by the minimum position error"
-    _write(directory, title, drive_summary(view), (label, draw_drive_view(view)), own, settings)
+    drawing = "The path, coloured by the minimum position error", draw_drive_view(view)
+    heads = title, "Observability of the pose in each window"
+    _write(directory, heads, drive_summary(view), drawing, parts, settings)
 
 
 def _window_rows(view: DriveView) -> list[list[object]]:
@@ -276,17 +266,22 @@ def same_to(view: ModelView) -> float:
 
 def _write(
     directory: Path,
-    title: str,
+    heads: tuple[str, str],
     summary: str,
     drawing: tuple[str, Figure],
-    own: Callable[[Markup], Markup],
+    parts: list[Markup],
     settings: dict[str, Any],
 ) -> None:
-    """Write a page with a section of its `own`, made of the figure, and those of all pages."""
+    """Write a page with a section of the figure and its own `parts`, and those of all pages.
+
+    `heads` are the title and the heading of that section.
+    """
+    title, heading = heads
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         _, figure = drawn(scratch, FIGURE, *drawing, vector="svg")
         head = html.header(title, html.summary(summary))
-        text = html.page(title, head, own(figure), _landmark_numbers(), _motions(), _matrix())
+        own = html.section(heading, html.figure(figure), *parts)
+        text = html.page(title, head, own, _landmark_numbers(), _motions(), _matrix())
         (scratch / PAGE).write_text(text, encoding="utf-8")
         write_settings(scratch / SETTINGS_FILE, settings)
 
@@ -294,10 +289,8 @@ def _write(
 def _landmark_numbers() -> Markup:
     head = "landmarks q", "state n", "rank, bearings", "and a compass", "and known distances"
     rows: list[Sequence[object]] = [head]
-    for row in rank_table():
-        ranks = (row.bearings, row.compass, row.distances)
-        found = (f"{r} of {row.n}, all" if r == row.n else f"{r} of {row.n}" for r in ranks)
-        rows.append([row.landmarks, row.n, *found])
+    for q, n, *ranks in rank_table():
+        rows.append([q, n, *(f"{r} of {n}, all" if r == n else f"{r} of {n}" for r in ranks)])
     table = html.table("rrrrr", rows)
     return html.section("Required number of landmarks", table, html.note(TEXTS["numbers"]))
 

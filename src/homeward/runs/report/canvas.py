@@ -81,11 +81,13 @@ def plain(label: str) -> str:
     return printable(label).replace("$", r"\$")
 
 
-def new_figure(height_in: float) -> Figure:
-    """Return an empty figure of the common width; use it within `style`."""
-    figure = Figure(figsize=(WIDTH_IN, height_in))
-    FigureCanvasAgg(figure)
-    return figure
+@contextmanager
+def styled_figure(height_in: float, salt: str = "homeward") -> Iterator[Figure]:
+    """Yield an empty figure of the common width, to be drawn within this block; see `style`."""
+    with style(salt):
+        figure = Figure(figsize=(WIDTH_IN, height_in))
+        FigureCanvasAgg(figure)
+        yield figure
 
 
 def png(figure: Figure, dpi: float = 150) -> bytes:

@@ -47,14 +47,7 @@ from homeward.lab.studies.paper.reproduction import (
 from homeward.lab.studies.paper.world import CaseName
 from homeward.lab.studies.study.statistics import quantiles, wilson
 from homeward.runs.report import html
-from homeward.runs.report.canvas import (
-    drawn,
-    legend_below,
-    new_figure,
-    quantile_bar,
-    style,
-    uncrowd,
-)
+from homeward.runs.report.canvas import drawn, legend_below, quantile_bar, styled_figure, uncrowd
 from homeward.runs.report.palette import GREEN, INK, MUTED, SKY
 from homeward.runs.report.words import percent
 
@@ -78,8 +71,7 @@ def errors_of(study: LayoutStudy, case: CaseName, name: str, start: Start) -> np
 
 def draw_distributions(study: LayoutStudy) -> Figure:
     """Draw the distribution of every RMSE from each start, with the printed values."""
-    with style():
-        figure = new_figure(9.0)
+    with styled_figure(9.0) as figure:
         panels = figure.subplots(len(STUDIED), 3, sharey=True, sharex="col")
         for row, case in zip(panels, STUDIED, strict=True):
             for k, axes in enumerate(row):
@@ -131,11 +123,10 @@ def draw_grid(study: LayoutStudy) -> Figure:
 
     A cell has the smallest of the three shares of R, theta and alpha.
     """
-    with style():
-        values = product(*(study.settings.axis(k) for k in ACROSS))
-        rows = [dict(zip(ACROSS, row, strict=True)) for row in values]
-        columns = _columns(study)
-        figure = new_figure(1.4 + 0.2 * len(rows) * len(RIVALS))
+    values = product(*(study.settings.axis(k) for k in ACROSS))
+    rows = [dict(zip(ACROSS, row, strict=True)) for row in values]
+    columns = _columns(study)
+    with styled_figure(1.4 + 0.2 * len(rows) * len(RIVALS)) as figure:
         panels = figure.subplots(len(RIVALS), 1, sharex=True)
         for axes, name in zip(panels, RIVALS, strict=True):
             outcomes = ([study.grid[c, r._replace(**row)] for c, r in columns] for row in rows)
