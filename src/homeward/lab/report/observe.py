@@ -307,16 +307,8 @@ def _motions() -> Markup:
 
 def _matrix() -> Markup:
     entries = printed_matrix()
-    rows = [
-        [
-            "Entry",
-            "derivative by",
-            "correct formula",
-            "at the paper's start",
-            "the model",
-            "printed",
-        ]
-    ]
+    head = "Entry", "derivative by", "correct formula", "at the paper's start", "the model"
+    rows: list[Sequence[object]] = [(*head, "printed")]
     for e in entries:
         result = "correct" if e.right else "wrong sign"
         rows.append([e.name, e.by, e.formula, f"{e.value:.6f}", f"{e.exact:.6f}", result])

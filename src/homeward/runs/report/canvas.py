@@ -21,6 +21,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from homeward.errors import printable
 from homeward.runs.report.palette import INK, MUTED, RULE
@@ -196,6 +197,14 @@ def name_mark(
     """Write a user's label unchanged, at an `offset` [points] from a position `at` (2,)."""
     options |= {"in_layout": False, "parse_math": False}
     axes.annotate(text, (at[0], at[1]), offset, textcoords="offset points", **options)
+
+
+def log_axis(axes: Axes, ticks: LogLocator) -> None:
+    """Give axes a logarithmic x axis with plain numbers, and labels at major ticks only."""
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(ticks)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def bare(axes: Axes) -> None:

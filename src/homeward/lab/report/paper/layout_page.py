@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
@@ -47,7 +46,14 @@ from homeward.lab.studies.paper.reproduction import (
 from homeward.lab.studies.paper.world import CaseName
 from homeward.lab.studies.study.statistics import quantiles, wilson
 from homeward.runs.report import html
-from homeward.runs.report.canvas import drawn, legend_below, quantile_bar, styled_figure, uncrowd
+from homeward.runs.report.canvas import (
+    drawn,
+    legend_below,
+    log_axis,
+    quantile_bar,
+    styled_figure,
+    uncrowd,
+)
 from homeward.runs.report.palette import GREEN, INK, MUTED, SKY
 from homeward.runs.report.words import percent
 
@@ -85,7 +91,7 @@ def draw_distributions(study: LayoutStudy) -> Figure:
                     printed = printed_of(case, name)
                     if printed is not None:
                         axes.plot(printed[k], place, "x", ms=7, mew=1.6, color=GREEN, zorder=5)
-                _log_axis(axes)
+                log_axis(axes, LogLocator(numticks=8))
                 axes.grid(False, axis="y")
             row[0].set_yticks(range(len(ROWS)), ROWS)
             row[0].set_ylim(len(ROWS) - 0.2, -0.6)
@@ -93,29 +99,16 @@ def draw_distributions(study: LayoutStudy) -> Figure:
         for axes, quantity in zip(panels[-1], QUANTITIES, strict=True):
             axes.set_xlabel(f"RMSE of {quantity}")
         last = start_words(study.reading("2", initial_error=study.starts[-1]))
+        exact = "exact start: median, middle half"
+        dot: dict[str, Any] = {"color": MUTED, "marker": "o", "ms": 5}
         entries = [
-            Line2D(
-                [],
-                [],
-                color=MUTED,
-                marker="o",
-                ms=5,
-                lw=4,
-                label="exact start: median, middle half",
-            ),
-            Line2D([], [], color=MUTED, marker="o", ms=5, mfc="white", lw=1.2, label=last),
+            Line2D([], [], lw=4, label=exact, **dot),
+            Line2D([], [], mfc="white", lw=1.2, label=last, **dot),
             Line2D([], [], color=GREEN, marker="x", ms=7, mew=1.6, ls="none", label="printed"),
         ]
         legend_below(figure, entries)
         uncrowd(figure)
     return figure
-
-
-def _log_axis(axes: Axes) -> None:
-    axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(numticks=8))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def draw_grid(study: LayoutStudy) -> Figure:

@@ -15,7 +15,7 @@ import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 from matplotlib.transforms import blended_transform_factory
 
 from homeward.io.writing import whole_folder
@@ -35,6 +35,7 @@ from homeward.runs.report import html
 from homeward.runs.report.canvas import (
     drawn,
     legend_below,
+    log_axis,
     plain,
     quantile_bar,
     styled_figure,
@@ -153,9 +154,7 @@ def draw_overview(results: Results) -> Figure:
                 panels[1].plot(100 * line.home, place, "o", ms=4.5, mew=0, color=colour)
         for axes, words in ((panels[0], "position RMSE of a run [m]"), (panels[-1], "mean NEES")):
             axes.set(xscale="log", xlabel=words)
-            axes.xaxis.set_minor_formatter(NullFormatter())
-            axes.xaxis.set_major_locator(_ticks(axes))
-            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            log_axis(axes, _ticks(axes))
         panels[-1].axvline(CONSISTENT, color=INK, lw=0.9, zorder=0)
         if closed:
             panels[1].set(xlim=(-4, 104), xlabel="reached home [%]")
