@@ -38,7 +38,7 @@ def figures(
         "first": metrics.first_pose_after_s,
         "ms": 1e3 * float(np.median(track.update_seconds)) if track.t.size else None,
     }
-    found |= _moved(track, moved)
+    found |= of_moved(track, moved)
     use = off.t >= track.t[0] + after_s
     weight = off.weight[use]
     if weight.sum() == 0.0:
@@ -62,7 +62,8 @@ def figures(
     }
 
 
-def _moved(track: Track, moved: AbstractSet[str] | None) -> Figures:
+def of_moved(track: Track, moved: AbstractSet[str] | None) -> Figures:
+    """Return the figures of the landmarks reported as moved; none if those that did are unknown."""
     if moved is None:
         return {}
     named = {m.landmark for m in track.landmarks if m.moved}

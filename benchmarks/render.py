@@ -129,9 +129,9 @@ def at_edge(eye: Eye, home: Features, moved: frozenset[str]) -> np.ndarray:
 
     Next to it means nearer than their size: they show the edge of the box and the static wall.
     """
-    truth = eye.home_truth()
-    width = truth.thing.shape[1]
-    on_moved = np.isin(truth.thing, [i for i, n in enumerate(eye.then.things) if n in moved])
+    things = eye.home_things()
+    width = things.shape[1]
+    on_moved = np.isin(things, [i for i, n in enumerate(eye.then.things) if n in moved])
     row, column = np.nonzero(on_moved)
     if not row.size:
         return np.zeros(len(home), bool)

@@ -5,13 +5,13 @@ to 30 m, slips, noise and missing sightings, as they are and with each fault. It
 of drives by decision; exit status 1 if a right drive is decided to be wrong.
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.drives.drive import Odometry
 from homeward.drives.senses import DEG, Sense, SenseTest, compare_senses
 from homeward.geometry.angles import wrap
@@ -107,10 +107,8 @@ FAULTS: dict[Sense, Callable[[Simulated], Simulated]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--drives", type=int, default=300)
-    num, wrong = parser.parse_args().drives, 0
-    drives = [simulated(seed) for seed in range(num)]
+    options = monte_carlo.parsed(__doc__, drives=300)
+    wrong, drives = 0, [simulated(seed) for seed in range(options.drives)]
     for sense, fault in FAULTS.items():
         found = [fault(drive).decided().sense for drive in drives]
         counts = Counter("undecided" if s is None else s.name.lower() for s in found)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.consistency.trial import Trial
-from benchmarks.measures import MAX_NEES, SURE, WRONG
+from benchmarks.measures import MAX_NEES, SURE, WRONG, of_moved
 from homeward.runs.scoring import errors, score
 from homeward.track import Track
 
@@ -37,8 +37,7 @@ def figures(track: Track, trial: Trial) -> Figures:
     ratio = np.einsum("ki,kij,kj->k", e[known], np.linalg.inv(bound[known]), e[known]) / 2
     status = np.array([s in SURE for s in track.status])[np.searchsorted(track.t, off.t)]
     far = off.nees_position > WRONG**2
-    named = {m.landmark for m in track.landmarks if m.moved}
-    right, none = len(named & trial.moved), None if trial.moved else 1.0
+    moved = of_moved(track, trial.moved)
     return {
         "pose": metrics.pose_share,
         "sure": sum(metrics.status_shares.get(s, 0.0) for s in SURE),
@@ -47,8 +46,8 @@ def figures(track: Track, trial: Trial) -> Figures:
         "nis": metrics.innovation_nis_mean,
         "wrong": float(far[status].mean()) if status.any() else None,
         "far": float(far.mean()) if far.size else None,
-        "precision": right / len(named) if named else none,
-        "recall": right / len(trial.moved) if trial.moved else None,
+        "precision": moved["precision"],
+        "recall": moved["recall"],
         "rmse": float(np.sqrt((e**2).sum(axis=1).mean())) if len(e) else None,
     }
 

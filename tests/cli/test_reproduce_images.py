@@ -11,7 +11,7 @@ from lab.studies.chores import in_this_process
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, run_filter
-from homeward.lab.studies.paper.layouts import Block, Question, run_block
+from homeward.lab.studies.paper.layouts import Question, run_block
 from homeward.lab.studies.paper.settings import Assumed, Imaged, PaperSettings
 
 pytest.importorskip("cv2", reason="images need the extra `vision`")
@@ -97,6 +97,6 @@ def test_faults_obtained_are_counted_where_fewer_came_than_were_asked_for(world,
     """Rooms decide how many landmarks lie on moved boxes; the blocks keep the number."""
     some = replace(world, moved=np.arange(7) < 1)
     monkeypatch.setattr("homeward.lab.studies.paper.layouts.draw", lambda *_: some)
-    block = Block(SETTINGS, "2", (DEAD_RECKONING,), 0, 1)
+    block = Question(SETTINGS, "2", (DEAD_RECKONING,), 1)
     assert run_block(block)["moved"].tolist() == [1]
     assert len(Question(SETTINGS, "2", (DEAD_RECKONING,), 3).blocks()) == 3

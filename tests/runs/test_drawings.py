@@ -22,7 +22,7 @@ from homeward.lab.report.study.page import (
     write_study,
 )
 from homeward.lab.studies.study.summary import summary, table
-from homeward.runs.report.canvas import legend_below, new_figure, style, svg, svg_file, uncrowd
+from homeward.runs.report.canvas import legend_below, styled_figure, svg, svg_file, uncrowd
 
 LONG = "the one whose label says everything that there is to say of it, and then some more"
 
@@ -79,8 +79,7 @@ def test_a_page_explains_the_figures_that_it_has_alone(tmp_path):
 
 
 def test_crowded_ticks_are_left_out_and_others_stay():
-    with style():
-        figure = new_figure(2.0)
+    with styled_figure(2.0) as figure:
         crowded, roomy = figure.subplots(1, 2)
         for axes, places in ((crowded, range(0, 200_000, 10_000)), (roomy, range(4))):
             axes.set_xlim(min(places), max(places))
@@ -95,9 +94,8 @@ def test_crowded_ticks_are_left_out_and_others_stay():
 
 
 def test_a_legend_takes_as_many_columns_as_there_is_room_for():
-    with style():
-        for words, columns in (("short", 4), ("a label of a middling length, it is", 2), (LONG, 1)):
-            figure = new_figure(3.0)
+    for words, columns in (("short", 4), ("a label of a middling length, it is", 2), (LONG, 1)):
+        with styled_figure(3.0) as figure:
             axes = figure.add_subplot()
             legend_below(figure, [axes.plot([0, 1], label=f"{words} {k}")[0] for k in range(5)])
             assert figure.legends[0]._ncols == columns
@@ -106,7 +104,8 @@ def test_a_legend_takes_as_many_columns_as_there_is_room_for():
 
 
 def test_words_of_a_table_are_whole(tmp_path):
-    head = table(summary(made_up_study(tmp_path)))[0]
+    results = made_up_study(tmp_path)
+    head = table(results.plan, summary(results))[0]
     assert "runtime [s]" in head
     assert "RMSE / bound" in head
 
@@ -199,8 +198,7 @@ def test_small_maps_of_a_plan_have_one_scale(plan_view):
 
 
 def test_a_drawing_in_a_page_has_no_ground_and_as_a_file_a_white_one():
-    with style():
-        figure = new_figure(1.0)
+    with styled_figure(1.0) as figure:
         figure.add_subplot().plot([0, 1])
     drawing = svg(figure, "a line")
     assert "fill: #ffffff" not in drawing

@@ -2,14 +2,13 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
 import pytest
-from browser import needs_chromium, open_page
+from browser import Page, needs_chromium, open_page
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,10 +39,9 @@ found.fetched = performance.getEntriesByType("resource").map((e) => e.name);
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     pytest.importorskip("mkdocs", reason="the site needs the extra `docs`")
-    folder = tmp_path_factory.mktemp("site")
     if "HOMEWARD_SITE" in os.environ:  # built before, by `make docs`
-        # A copy for each worker, as pages with a script are written next to those of the site.
-        return shutil.copytree(os.environ["HOMEWARD_SITE"], folder, dirs_exist_ok=True)
+        return Path(os.environ["HOMEWARD_SITE"])
+    folder = tmp_path_factory.mktemp("site")
     # Not --quiet: it hides warnings from what makes them fail.
     words = [sys.executable, "-m", "mkdocs", "build", "--site-dir", folder]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
@@ -55,7 +53,7 @@ def site(tmp_path_factory):
 def lesson(site, tmp_path):
     def look(name, script, **options):
         page = site / "learn" / f"{name}.html"
-        found = open_page(page, DRAG + script, tmp_path, beside=True, **options)
+        found = open_page(page, DRAG + script, tmp_path, **options)
         assert found["wrong"] == []
         assert found["wide"][0] <= found["wide"][1]
         assert all(address.startswith("file:") for address in found["fetched"])
@@ -96,7 +94,7 @@ def test_pages_are_found_read_and_left(site, tmp_path, width, dark):
     found.fetched = performance.getEntriesByType("resource").map((e) => e.name);
     """
     page = site / "index.html"
-    found = open_page(page, script, tmp_path, width=width, dark=dark, beside=True)
+    found = open_page(page, script, tmp_path, width=width, dark=dark)
     assert found["wrong"] == []
     assert any("glossary.html" in hit for hit in found["hits"])
     assert {"Learn", "Do", "Understand", "Look up"} <= set(found["tabs"])
@@ -107,9 +105,6 @@ def test_pages_are_found_read_and_left(site, tmp_path, width, dark):
 
 @needs_chromium
 def test_no_page_scrolls_sideways_on_a_phone_and_none_leads_nowhere(site, tmp_path):
-    pytest.importorskip("websockets", reason="Chromium is controlled by its own protocol")
-    from studio.chromium import Page
-
     script = """[document.documentElement.scrollWidth - innerWidth, [...document.querySelectorAll(
       'a[href]')].map((a) => a.href.split('#')[0]).filter((link) => link.startsWith('file:'))]"""
     phone = Page(tmp_path, (site / "index.html").as_uri(), width=390, dark=True)

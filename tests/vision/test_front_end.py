@@ -3,6 +3,7 @@
 # ruff: noqa: E402 (nothing is imported where OpenCV is missing)
 import re
 import shutil
+from collections import defaultdict
 from functools import cache
 
 import numpy as np
@@ -58,19 +59,23 @@ def drive(folder):
     return open_drive(folder)
 
 
+def misses(lines):
+    """By how much each line (x, y, direction), (n, 3), misses the point in which all meet [rad]."""
+    x, y, a = np.array(lines).T
+    normal = np.column_stack([-np.sin(a), np.cos(a)])
+    point = np.linalg.lstsq(normal, np.sum(normal * np.column_stack([x, y]), axis=1))[0]
+    return np.abs(wrap(np.arctan2(point[1] - y, point[0] - x) - a))
+
+
 def test_landmarks_are_mostly_where_their_bearings_point(drive):
     """Every landmark's bearings, with the true poses, meet in one point."""
-    s, off = drive.sightings, []
+    s, lines = drive.sightings, defaultdict(list)
     assert s.t.size > 40
-    for name in set(s.landmark):
-        rows = s.landmark == name
-        x, y, heading = np.array([way(round(t / 0.5)) for t in s.t[rows]]).T
-        a = heading + s.bearing[rows]
-        normal = np.column_stack([-np.sin(a), np.cos(a)])
-        point = np.linalg.lstsq(normal, np.sum(normal * np.column_stack([x, y]), axis=1))[0]
-        off.extend(np.abs(wrap(np.arctan2(point[1] - y, point[0] - x) - a)))
+    for t, name, bearing in zip(s.t, s.landmark, s.bearing, strict=True):
+        lines[name].append(way(round(t / 0.5)) + np.array([0.0, 0.0, bearing]))
+    off = np.concatenate([misses(each) for each in lines.values()])
     assert np.median(off) < np.radians(0.3)
-    assert np.mean(np.array(off) > np.radians(2)) < 0.1
+    assert np.mean(off > np.radians(2)) < 0.1
 
 
 def test_home_bearings_come_from_the_home_image(drive, folder):
@@ -133,9 +138,12 @@ def test_a_blind_frame_gives_nothing_and_harms_nothing(room):
     assert front_end.see(frame(1, MIN_SIGHTINGS + 1)).bearings
 
 
-def broken(folder, tmp_path, change):
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
+@pytest.fixture
+def copy(folder, tmp_path):
+    return shutil.copytree(folder, tmp_path / "copy")
+
+
+def broken(copy, tmp_path, change):
     change(copy)
     words = refused(call("see", copy, "--out", tmp_path / "out"))
     assert not (tmp_path / "out").exists()
@@ -162,22 +170,22 @@ def broken(folder, tmp_path, change):
         (lambda f: (f / "odometry.csv").unlink(), "odometry.csv"),
     ],
 )
-def test_a_folder_that_lacks_something_is_refused_in_one_line(folder, tmp_path, change, complaint):
-    assert complaint in broken(folder, tmp_path, change)
+def test_a_folder_that_lacks_something_is_refused_in_one_line(copy, tmp_path, change, complaint):
+    assert complaint in broken(copy, tmp_path, change)
 
 
 @pytest.mark.parametrize("key", ["home", "mask"])
 @pytest.mark.parametrize("name", ["../elsewhere.png", "/elsewhere.png", "link.png"])
-def test_home_and_mask_outside_the_folder_are_refused(folder, tmp_path, key, name):
+def test_home_and_mask_outside_the_folder_are_refused(copy, tmp_path, key, name):
     elsewhere = tmp_path / "elsewhere.png"
-    shutil.copy(folder / "home.png", elsewhere)
+    shutil.copy(copy / "home.png", elsewhere)
 
     def change(copy):
         (copy / "link.png").symlink_to(elsewhere)
         value = str(elsewhere) if name.startswith("/") else name
         (copy / "images.yaml").write_text(f"{key}: {value}\n")
 
-    words = broken(folder, tmp_path, change)
+    words = broken(copy, tmp_path, change)
     assert f"images.yaml: {key} " in words
     assert "is outside the folder" in words
 
@@ -187,18 +195,18 @@ def test_home_and_mask_outside_the_folder_are_refused(folder, tmp_path, key, nam
     ("name", "complaint"),
     [("none.png", "does not exist"), ("a" * 5000, "cannot be"), ('"a\\0b"', "cannot be")],
 )
-def test_home_and_mask_that_are_no_files(folder, tmp_path, key, name, complaint):
-    words = broken(folder, tmp_path, lambda f: (f / "images.yaml").write_text(f"{key}: {name}\n"))
+def test_home_and_mask_that_are_no_files(copy, tmp_path, key, name, complaint):
+    words = broken(copy, tmp_path, lambda f: (f / "images.yaml").write_text(f"{key}: {name}\n"))
     assert f"images.yaml: {key} " in words
     assert complaint in words
 
 
-def test_a_home_image_that_is_a_link_out_of_the_folder_is_refused(folder, tmp_path):
+def test_a_home_image_that_is_a_link_out_of_the_folder_is_refused(copy, tmp_path):
     def change(copy):
         (copy / "home.png").rename(tmp_path / "elsewhere.png")
         (copy / "home.png").symlink_to(tmp_path / "elsewhere.png")
 
-    assert "home 'home.png' is outside the folder" in broken(folder, tmp_path, change)
+    assert "home 'home.png' is outside the folder" in broken(copy, tmp_path, change)
 
 
 def test_home_is_found_in_capitals(folder, tmp_path):
@@ -208,18 +216,14 @@ def test_home_is_found_in_capitals(folder, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["see", "run"])
-def test_images_of_another_clock_are_refused_before_they_are_looked_at(folder, tmp_path, command):
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
+def test_images_of_another_clock_are_refused_before_they_are_looked_at(copy, tmp_path, command):
     (copy / "odometry.csv").write_text("t,v,omega\n5000,0.2,0\n5007,0,0\n")
     (copy / "pictures" / "3.png").write_text("no image: this would be reported first")
     words = refused(call(command, copy, "--out", tmp_path / "out"))
     assert "copy: the first of the odometry is 4,993.0 s after the last of the images" in words
 
 
-def test_stamps_in_milliseconds_are_remarked(folder, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
+def test_stamps_in_milliseconds_are_remarked(copy, tmp_path):
     rows = [f"{500 * k},pictures/{k}.png" for k in range(FRAMES)]
     (copy / "images.csv").write_text("\n".join(["t,file", *rows]))
     twists = [f"{100 * k},0.2,0" for k in range(70)]
@@ -228,9 +232,7 @@ def test_stamps_in_milliseconds_are_remarked(folder, tmp_path):
     assert "convert the stamps to seconds if they are in milliseconds" in result.output
 
 
-def test_of_images_with_one_stamp_the_first_counts(folder, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
+def test_of_images_with_one_stamp_the_first_counts(copy, tmp_path):
     (copy / "images.csv").write_text("t,file\n0,pictures/0.png\n0,pictures/9.png\n1,home.png\n")
     remarks: dict[str, int] = {}
     images = read_images(copy, remarks)
@@ -285,17 +287,11 @@ def test_a_bearing_is_that_of_the_patch_that_home_saw(room):
 
 def test_names_are_handed_on_at_the_place_of_the_patch(room):
     """What keyframes hand on stays where it was: its bearings still meet in one point."""
-    camera, lines = Equirectangular(), {}
+    camera, lines = Equirectangular(), defaultdict(list)
     front_end = FrontEnd(extract(draw(make_room(7), *HOME), camera), camera)
     for k in range(FRAMES):
-        x, y, heading = way(k)
-        glance = front_end.see(frame(1, k))
-        for name, bearing in glance.bearings.items():
-            lines.setdefault(name, []).append((x, y, heading + bearing))
-    off = []
-    for x, y, angle in (np.array(s).T for s in lines.values() if len(s) > 6):
-        normal = np.column_stack([-np.sin(angle), np.cos(angle)])
-        point = np.linalg.lstsq(normal, np.sum(normal * np.column_stack([x, y]), axis=1))[0]
-        off.extend(np.abs(wrap(np.arctan2(point[1] - y, point[0] - x) - angle)))
+        for name, bearing in front_end.see(frame(1, k)).bearings.items():
+            lines[name].append(way(k) + np.array([0.0, 0.0, bearing]))
+    off = np.concatenate([misses(each) for each in lines.values() if len(each) > 6])
     assert len(off) > 50
     assert np.median(off) < np.radians(0.1)

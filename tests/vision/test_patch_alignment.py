@@ -65,33 +65,32 @@ def test_light_does_not_matter_and_noise_is_measured():
     assert np.all(np.abs(rough.column - PLACES[:, 0] - 0.7) < 4 * sigmas(rough)[:, 0])
 
 
-@pytest.mark.parametrize(("size", "within"), [(2.0, 0.3), (6.0, 0.1), (30.0, 0.1)])
-def test_a_change_of_shape_comes_back(size, within):
-    """Stretched by a fifth one way and sheared about one point, whose place is asked for."""
-    shape = np.array([[1.2, 0.1], [-0.05, 0.95]])
-    back, at = np.linalg.inv(shape), np.array([120.4, 45.3])
+STRETCHED = np.array([[1.2, 0.1], [-0.05, 0.95]])
+"""By a fifth one way, and sheared."""
+GROWN = 1.6 * np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
+
+
+@pytest.mark.parametrize(
+    ("shape", "known", "within"),
+    [
+        (STRETCHED, {"size": 2.0}, 0.3),
+        (STRETCHED, {"size": 6.0}, 0.1),
+        (STRETCHED, {"size": 30.0}, 0.1),
+        (GROWN, {"growth": 1.6, "turn": 0.5}, 0.1),  # those of the features
+    ],
+)
+def test_a_change_of_shape_comes_back(shape, known, within):
+    """About one point, whose place is asked for."""
+    back, at, step = np.linalg.inv(shape), np.array([120.4, 45.3]), np.array([0.8, -0.5])
 
     def carry(column, row):
-        c, r = column - at[0] - 0.8, row - at[1] + 0.5
+        c, r = column - at[0] - step[0], row - at[1] - step[1]
         return at[0] + back[0, 0] * c + back[0, 1] * r, at[1] + back[1, 0] * c + back[1, 1] * r
 
-    found = laid(drawn(), drawn(carry), at, at, size)
+    found = laid(drawn(), drawn(carry), at, at, **known)
     assert found.found.all()
-    assert abs(found.column[0] - at[0] - 0.8) < within
-    assert abs(found.row[0] - at[1] + 0.5) < within
-
-
-def test_size_and_turn_of_the_features_are_where_it_begins():
-    at, growth, turn = np.array([100.3, 48.2]), 1.6, 0.5
-    back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) / growth
-
-    def carry(column, row):
-        c, r = column - at[0] - 0.5, row - at[1]
-        return at[0] + back[0, 0] * c + back[0, 1] * r, at[1] + back[1, 0] * c + back[1, 1] * r
-
-    found = laid(drawn(), drawn(carry), at, at, growth=growth, turn=turn)
-    assert found.found.all()
-    assert abs(found.column[0] - at[0] - 0.5) < 0.1
+    assert abs(found.column[0] - at[0] - step[0]) < within
+    assert abs(found.row[0] - at[1] - step[1]) < within
 
 
 @pytest.mark.parametrize("home_at", [0.2, 254.9])

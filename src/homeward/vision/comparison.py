@@ -154,12 +154,20 @@ def compare_once(
     rows, pairs, alignment, quality = _aligned_matches(home, now, camera, heading)
     i, j = rows.T
     fit = estimate_motion(pairs, quality, camera.tilt_sigma)
-    acceptance = _test_self_similarity(
-        assess(fit, pairs, heading), fit, pairs, home, i, camera, heading
-    )
+
+    def unrepeated(accepted: Acceptance, fit: Fit) -> Acceptance:
+        """Test some of the inliers for self-similarity."""
+        if not accepted.accepted:
+            return accepted
+        tested = thinned(np.flatnonzero(fit.inlier), 100)
+        recurs = self_similar(home, i[tested], camera)
+        return assess_unrepeated(accepted, fit, pairs, tested, recurs, heading)
+
+    acceptance = assess(fit, pairs, heading)
     agrees, moved = np.zeros((2, len(pairs)), bool)
     covariance = np.full((4, 4), np.inf)
     if fit is not None:
+        acceptance = unrepeated(acceptance, fit)
         if acceptance.accepted:
             fits = fit.inlier
             (column, row), there = propagate_matches(home, now, i[fits], alignment.rows(fits))
@@ -168,8 +176,7 @@ def compare_once(
             fit, covariance = _refined(fit, pairs, propagated, camera)
             # Propagated matches may have changed the motion, and left fewer inliers.
             fit = replace(fit, inlier=fit.inlier[: len(pairs)])
-            acceptance = acceptance.reassessed(fit.inlier, pairs)
-            acceptance = _test_self_similarity(acceptance, fit, pairs, home, i, camera, heading)
+            acceptance = unrepeated(acceptance.reassessed(fit.inlier, pairs), fit)
             on_object = dominant_object(fit, pairs, heading)
             covariance = covariance_factor(on_object, fit) * covariance
             acceptance = replace(acceptance, reason=explain(acceptance, on_object, pairs))
@@ -191,26 +198,6 @@ def compare_once(
         tilt_covariance=covariance[2:, 2:],
         parallax=0.0 if fit is None else fit.parallax,
     )
-
-
-def _test_self_similarity(
-    acceptance: Acceptance,
-    fit: Fit | None,
-    pairs: Pairs,
-    home: Features,
-    rows: np.ndarray,
-    camera: Panorama,
-    heading: float | None,
-) -> Acceptance:
-    """Return the acceptance after a test of some of the inliers for self-similarity.
-
-    `rows`, (n,), are the matched features of home.
-    """
-    if fit is None or not acceptance.accepted:
-        return acceptance
-    tested = thinned(np.flatnonzero(fit.inlier), 100)
-    recurs = self_similar(home, rows[tested], camera)
-    return assess_unrepeated(acceptance, fit, pairs, tested, recurs, heading)
 
 
 def _aligned_matches(

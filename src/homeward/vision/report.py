@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
-from homeward.runs.report.canvas import WIDTH_IN, bare, new_figure, png, style
+from homeward.runs.report.canvas import WIDTH_IN, bare, png, styled_figure
 from homeward.runs.report.files import number
 from homeward.runs.report.palette import BLUE, INK, MUTED, VERMILLION
 from homeward.vision.comparison import Comparison
@@ -81,8 +81,7 @@ def picture(seen: Comparison, images: Images, views: Views) -> Figure:
     """Draw the two panoramas, home above, and their matches."""
     height, width = images[0].shape
     below = 1.25 * height
-    with style():
-        figure = new_figure(WIDTH_IN * (below + height) / width + 0.5)
+    with styled_figure(WIDTH_IN * (below + height) / width + 0.5) as figure:
         axes = figure.add_subplot()
         bare(axes)
         axes.set_xticks([])

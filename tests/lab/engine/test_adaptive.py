@@ -16,14 +16,10 @@ BEARING, SPEED, TURN = 0.02, 0.02, 0.05
 
 
 def tuning(polar, stored, bearing=BEARING, speed=SPEED, turn=TURN, walk=0.01):
-    n = 3 + Q
+    sigmas, empty = np.full(3, 0.01), np.zeros((0, 0))
     density = np.r_[np.zeros(3), np.full(Q, walk**2)]
-    variance = np.r_[np.full(3, 0.01**2), np.ones(Q)]
-    empty = np.zeros((0, 0))
-    assert n == variance.size
-    return Tuning(
-        polar, variance, stored, bearing, np.square([speed, turn]), density, 11.0, 1, empty, empty
-    )
+    setup = polar, sigmas, stored, bearing, np.square([speed, turn]), 11.0, 1
+    return Tuning(*setup, np.r_[sigmas**2, np.ones(Q)], density, empty, empty)
 
 
 def drive(backend, seconds, seed=1):

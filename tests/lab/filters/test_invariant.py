@@ -6,7 +6,7 @@ import pytest
 from lab.model_by_hand import scene
 
 from homeward.geometry.frames import Pose, bearing, to_polar
-from homeward.lab.filters.backend import CartesianPrior, SensorNoise
+from homeward.lab.filters.backend import Setup
 from homeward.lab.filters.invariant import (
     InvariantFilter,
     error_between,
@@ -18,7 +18,6 @@ from homeward.lab.model import home_anchored_bearing
 
 Q, SIGMA = 5, 0.02
 DENSITY = np.array([0.03**2, 0.05**2])
-NOISE = SensorNoise(DENSITY, SIGMA, np.inf)
 
 
 def numeric(f, x, step=1e-6):
@@ -26,13 +25,11 @@ def numeric(f, x, step=1e-6):
     return np.stack(columns, axis=-1)
 
 
-def make(pose=(0.6, -0.5, 0.3), seed=2, inverse_sigma=0.5):
+def make(pose=(0.6, -0.5, 0.3), seed=2, inverse_sigma=0.5, density=DENSITY, gate=np.inf):
     landmarks, _, _, stored = scene(Q, seed)
-    prior = CartesianPrior(
-        *(to_polar(Pose(*pose)), np.array([0.05, 0.05, 0.1])),
-        *(stored, np.full(Q, 0.01), 0.5, inverse_sigma),
-    )
-    return InvariantFilter(prior, NOISE), landmarks
+    start = to_polar(Pose(*pose)), np.array([0.05, 0.05, 0.1])
+    setup = Setup(*start, stored, SIGMA, density, gate, 1)
+    return InvariantFilter(setup, np.full(Q, 0.01), (0.5, inverse_sigma)), landmarks
 
 
 def error(true, pose):
@@ -55,8 +52,7 @@ def test_odometry_changes_no_error_however_large_and_wherever_the_robot_is():
 
 
 def test_a_prediction_without_noise_leaves_the_covariance():
-    own, _ = make()
-    quiet = InvariantFilter(own.prior, SensorNoise(np.zeros(2), SIGMA, np.inf))
+    quiet, _ = make(density=np.zeros(2))
     belief = quiet.start()
     after = quiet.predict(belief, 0.7, (0.4, -1.0))
     assert not np.array_equal(after.pose, belief.pose)
@@ -132,8 +128,7 @@ def test_it_drives_through_home_and_finds_the_landmarks():
 
 
 def test_a_sighting_outside_the_gate_changes_nothing():
-    own, landmarks = make(inverse_sigma=0.01)
-    strict = InvariantFilter(own.prior, SensorNoise(DENSITY, SIGMA, 9.0))
+    strict, landmarks = make(inverse_sigma=0.01, gate=9.0)
     belief = strict.start()
     after, out = strict.update(
         belief, {0: float(bearing(Pose(*belief.pose), *landmarks[0])) + 2.0}, {}

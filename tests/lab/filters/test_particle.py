@@ -6,7 +6,7 @@ from lab.model_by_hand import scene
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, bearing, to_polar
-from homeward.lab.filters.backend import CartesianPrior, SensorNoise
+from homeward.lab.filters.backend import Setup
 from homeward.lab.filters.particle import ParticleFilter, _sight
 from homeward.lab.model import home_anchored_bearing
 
@@ -17,10 +17,9 @@ DENSITY = np.array([0.05**2, 0.1**2])
 def make(particles=20_000, known=True, sigmas=(0.3, 0.5, 0.5), gate=np.inf, outliers=1e-9, seed=0):
     """Return a filter whose landmarks are two metres from home, `known` to it or not."""
     home = np.array([0.2, 2.4, -1.9])
-    prior = CartesianPrior(
-        Polar(0.7, -0.5, 0.4), np.array(sigmas), home, np.full(Q, 1e-6 if known else 0.01), 0.5, 0.5
-    )
-    own = ParticleFilter(prior, SensorNoise(DENSITY, SIGMA, gate), particles, outliers, seed)
+    setup = Setup(Polar(0.7, -0.5, 0.4), np.array(sigmas), home, SIGMA, DENSITY, gate, 1)
+    home_sigma = np.full(Q, 1e-6 if known else 0.01)
+    own = ParticleFilter(setup, home_sigma, (0.5, 0.5), particles, outliers, seed)
     belief = own.start()
     if known:
         belief.spread[1, 1] = 1e-12
@@ -81,13 +80,9 @@ def test_the_same_belief_draws_the_same_and_another_seed_something_else():
 def test_a_start_that_is_hardly_known_is_found():
     landmarks, _, _, stored = scene(7, 3)
     true = Pose(-0.5, 0.6, 1.0)
-    prior = CartesianPrior(
-        Polar(*np.add(to_polar(true), [0.3, 0.5, -0.6])),
-        np.array([0.3, 0.6, 0.6]),
-        stored,
-        *(np.full(7, 0.01), 0.5, 0.5),
-    )
-    own = ParticleFilter(prior, SensorNoise(DENSITY / 25, 0.05, 11.0), 2000, 0.01)
+    polar, sigmas = Polar(*np.add(to_polar(true), [0.3, 0.5, -0.6])), np.array([0.3, 0.6, 0.6])
+    setup = Setup(polar, sigmas, stored, 0.05, DENSITY / 25, 11.0, 1)
+    own = ParticleFilter(setup, np.full(7, 0.01), (0.5, 0.5), 2000, 0.01)
     belief, rng, pose = own.start(), np.random.default_rng(1), np.array(true)
     for k in range(150):
         seen = {i: float(bearing(Pose(*pose), *landmarks[i])) for i in range(7)}

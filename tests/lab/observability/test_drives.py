@@ -40,7 +40,7 @@ def test_the_whole_is_the_bound_without_odometry_noise(circle):
     rows = np.searchsorted(stamps, circle.drive.sightings.t)
     visible[rows, [ids.index(n) for n in circle.drive.sightings.landmark]] = True
     bound = posterior_bound(
-        view.poses,
+        view.scene.poses,
         np.zeros((stamps.size - 1, 2)),
         np.diff(stamps),
         circle.world.in_home_frame,
@@ -65,7 +65,7 @@ def test_a_moved_landmark_is_not_counted(circle):
     home = dict(circle.drive.home)
     home["L2"] = HomeBearing(home["L2"].bearing + 0.4, home["L2"].sigma)
     view = observe_drive(replace(circle.drive, home=home), window=30.0)
-    assert not view.stored[view.names.index("L2")]
+    assert not view.scene.stored[view.scene.names.index("L2")]
     assert "L2" not in view.whole.landmarks
 
 
@@ -95,7 +95,7 @@ def test_a_real_drive(data_dir):
     folder = data_dir / "MRCLAM_Dataset6"
     drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), 0.009)
     view = observe_drive(drive, window=60.0)
-    assert len(view.names) == 15
-    assert view.stored.all()
+    assert len(view.scene.names) == 15
+    assert view.scene.stored.all()
     assert 0.005 < view.whole.position_sigma < 0.1
     assert all(w.weakest for w in view.windows)

@@ -59,7 +59,7 @@ def test_a_fix_is_the_bound_along_its_arc(h, changes):
     marks = np.array(list(p.landmarks.values()))
     places = np.array([[2.0, 3.1], [4.4, 0.9]])
     arcs, each, stored = told(p, h, places, marks)
-    fix = arcs.fix(each.sum(axis=1))
+    position, heading = arcs.errors(each.sum(axis=1))
     home, n = p.home.pose, p.drive.stops
     dt = p.drive.length / p.drive.speed / (n - 1)
     seen = between(home, Pose(marks[:, 0], marks[:, 1], 0.0))
@@ -78,8 +78,8 @@ def test_a_fix_is_the_bound_along_its_arc(h, changes):
             turn_sigma=p.odometry.turn_sigma,
             moved=~stored,
         )[-1]
-        assert fix.position[k] == pytest.approx(np.sqrt(bound[0, 0] + bound[1, 1]), rel=1e-5)
-        assert fix.heading[k] == pytest.approx(np.sqrt(bound[2, 2]), rel=1e-5)
+        assert position[k] == pytest.approx(np.sqrt(bound[0, 0] + bound[1, 1]), rel=1e-5)
+        assert heading[k] == pytest.approx(np.sqrt(bound[2, 2]), rel=1e-5)
 
 
 def ring_closed_form() -> tuple[float, float, float, float]:
@@ -100,9 +100,9 @@ def ring_closed_form() -> tuple[float, float, float, float]:
     arcs = Arcs(plan)
     seen, stored = np.ones((1, q), bool), np.zeros(q, bool)
     information = arcs.information(np.zeros((1, 2)), marks, seen, stored, 0)
-    fix = arcs.fix(information.every)
+    position, heading = arcs.errors(information.each.sum(axis=1))
     root = np.sqrt(q * stops)
-    return float(fix.position[0]), 2 * r * sigma / root, float(fix.heading[0]), sigma / root
+    return float(position[0]), 2 * r * sigma / root, float(heading[0]), sigma / root
 
 
 def dead_reckoning_closed_form(steps: int = 4000) -> tuple[np.ndarray, np.ndarray]:
@@ -147,9 +147,8 @@ def test_a_further_landmark_never_makes_it_worse(seed, narrow):
     arcs = Arcs(p)
     for h in range(0, len(arcs.headings), 3):
         each = arcs.information(places, marks, visible, stored, h).each
-        fewer, more = arcs.fix(each[:, :-1].sum(axis=1)), arcs.fix(each.sum(axis=1))
-        assert np.all(more.position <= fewer.position * (1 + 1e-6))
-        assert np.all(more.heading <= fewer.heading * (1 + 1e-6))
+        fewer, more = (arcs.errors(some.sum(axis=1)) for some in (each[:, :-1], each))
+        assert np.all(np.less_equal(more, np.multiply(fewer, 1 + 1e-6)))
 
 
 @pytest.mark.parametrize("sensor", [{}, {"field_of_view": 2.5}, {"range": [0.5, 4.0]}])

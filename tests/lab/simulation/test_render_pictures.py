@@ -39,11 +39,11 @@ def crate(**changes):
 def test_a_box_is_seen_where_it_stands_and_home_saw_it_where_it_stood():
     eye = Eye(scenario(boxes=crate(stood={"at": [2.0, 3.5]})))
     index = eye.now.things.index("crate")
-    for truth, place in (
-        (eye.home_truth(), Pose(0.0, 0.0, 0.0)),
-        (eye.truth(HERE, 1), HERE),
+    for things, place in (
+        (eye.home_things(), Pose(0.0, 0.0, 0.0)),
+        (eye.things(HERE, 1), HERE),
     ):
-        columns = np.flatnonzero((truth.thing == index).any(axis=0))
+        columns = np.flatnonzero((things == index).any(axis=0))
         middle = math.pi - 2 * math.pi * (columns.mean() + 0.5) / 128
         local = (0.0, 1.5) if place is not HERE else (2.0, 0.0)
         assert middle == pytest.approx(float(bearing(place, *local)), abs=0.05)
@@ -54,8 +54,7 @@ def test_a_picture_changes_at_the_crate_alone_when_the_crate_moves():
     there = Eye(scenario(boxes=crate(), camera=camera))
     gone = Eye(scenario(boxes=crate(at=[4.0, 3.4]), camera=camera))
     crates = [
-        (eye.truth(HERE, 1).thing == eye.now.things.index("crate")).any(axis=0)
-        for eye in (there, gone)
+        (eye.things(HERE, 1) == eye.now.things.index("crate")).any(axis=0) for eye in (there, gone)
     ]
     a, b = (eye.look(0.0, HERE, 1).astype(float) for eye in (there, gone))
     away = ~(crates[0] | crates[1])

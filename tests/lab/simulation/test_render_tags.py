@@ -10,9 +10,10 @@ from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose
 from homeward.lab.simulation.render.drive import Eye, write_rendered
+from homeward.lab.simulation.render.rays.raycast import points, trace
 from homeward.lab.simulation.render.room.settings import RoomCamera
 from homeward.lab.simulation.render.scene import tag_places
-from homeward.lab.simulation.render.shading.picture import NOTHING
+from homeward.lab.simulation.render.shading.picture import NOTHING, rays_of
 from homeward.vision.recorded.recording import see_recording
 from homeward.vision.tags.front_end import TagFrontEnd
 
@@ -48,13 +49,14 @@ def test_a_pixel_shows_what_its_ray_in_the_camera_model_meets(eye, changes):
     camera = RoomCamera(**tilted)
     seeing = Eye(eye.scenario.model_copy(update={"camera": camera}))
     robot = Pose(0.1, 0.2, 0.7)
-    truth, view = seeing.truth(robot, 1), seeing.view(robot, 1)
-    x, y, z = (truth.point - view.position).reshape(-1, 3).T
+    view, rays = seeing.view(robot, 1), rays_of(camera)
+    hits = trace(seeing.now.surfaces, view, rays)
+    x, y, z = (points(hits, view, rays) - view.position).reshape(-1, 3).T
     local = np.arctan2(y, x) - seeing.scenario.home.heading - robot.heading
     elevation, known = np.arctan2(z, np.hypot(x, y)), camera.known
     rows, columns = np.indices((camera.height, camera.width)).reshape(2, -1)
-    seen = np.isfinite(truth.distance).ravel()
-    assert (seen == (truth.thing.ravel() != NOTHING)).all()
+    seen = np.isfinite(hits.distance).ravel()
+    assert (seen == (seeing.things(robot, 1).ravel() != NOTHING)).all()
     if camera.projection == "ring":  # the model speaks of the unwrapped picture
         assert 0.4 < seen.mean() < 0.8
         plain = camera.model_copy(update={"roll": 0.0, "pitch": 0.0})

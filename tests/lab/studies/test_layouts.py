@@ -21,7 +21,6 @@ from homeward.lab.studies.paper.layouts import (
     ROBUST,
     STUDIED,
     VARIANTS,
-    Block,
     LayoutSettings,
     Outcome,
     Question,
@@ -92,8 +91,8 @@ def test_theta_is_also_told_where_home_is_far():
 
 
 def test_a_layout_is_the_same_in_any_block():
-    whole = run_block(Block(SETTINGS, "2", ("EKF", BOUND), 0, 3))
-    part = run_block(Block(SETTINGS, "2", (BOUND, "EKF"), 2, 3))
+    whole = run_block(Question(SETTINGS, "2", ("EKF", BOUND), 3))
+    part = run_block(Question(SETTINGS, "2", (BOUND, "EKF"), 3, 2))
     np.testing.assert_allclose(part["rmse"][:, 0], whole["rmse"][::-1, 2], rtol=1e-9)
 
 
@@ -184,7 +183,7 @@ def test_the_grid_has_every_reading_once_the_settings_own_first():
 def test_the_literal_reading_of_q_agrees_with_the_issue():
     """Q n x n and exact start: Case 4 has EKF .481 .013 .007 over 100 layouts."""
     literal = PaperSettings(assumed=Assumed(meaning_of_Q="state"))
-    ran = run_block(Block(literal, "4", ("EKF",), 0, 100))
+    ran = run_block(Question(literal, "4", ("EKF",), 100))
     median = np.median(ran["rmse"][0], axis=0) * [100, 1, 1]
     np.testing.assert_allclose(median, [0.481, 0.013, 0.007], rtol=0.1)
 

@@ -28,7 +28,7 @@ from homeward.lab.studies.study.runs import RUN, SERIES, run_block, run_seed
 from homeward.lab.studies.study.statistics import quantiles, wilson
 from homeward.lab.studies.study.summary import lines, over_time, summary, table
 from homeward.registry import make_estimator
-from homeward.runs.report.canvas import new_figure, png, style, svg
+from homeward.runs.report.canvas import png, styled_figure, svg
 from homeward.runs.scoring import score
 from homeward.track import run as follow
 
@@ -211,7 +211,7 @@ def test_a_world_that_cannot_be_built_fails_every_run(tmp_path):
     found = computed(plan, tmp_path / "out")
     assert found.failed.all()
     assert "no landmark in view" in found.failure[0, 0, 0]
-    assert table(summary(found)) == [["scenario", "estimator", "failed"]] + [
+    assert table(found.plan, summary(found)) == [["scenario", "estimator", "failed"]] + [
         [found.plan.cases[0].label if j == 0 else "", c.label, "4 of 4"]
         for j, c in enumerate(found.plan.contenders)
     ]
@@ -354,7 +354,6 @@ def test_both_kinds_of_workers_at_once_are_refused():
 
 
 def test_a_figure_in_a_page_keeps_the_digits_of_its_numbers():
-    with style():
-        figure = new_figure(1.0)
+    with styled_figure(1.0) as figure:
         figure.text(0.123456789, 0.5, "0.00123456 m")
     assert "0.00123456 m" in svg(figure, "digits")

@@ -188,8 +188,8 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
     model = view.model
     facts = {
         "summary": page.model_summary(view),
-        "rank": view.drive.found.value if model is None else model.rank,
-        "unknowns": view.drive.unknowns if model is None else model.n,
+        "rank": view.drive.rank.value if model is None else model.rank,
+        "unknowns": len(view.drive.truth) if model is None else model.n,
         "undetermined": [freedom.words for freedom in view.freedoms],
         "page": out / page.PAGE,
     }
@@ -206,9 +206,9 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
 def _numbers(view: ModelView) -> str:
     """Return the rank, and the singular values that decide it."""
     if view.model is None:
-        found = view.drive.found
+        found = view.drive.rank
         return (
-            f"rank {found.value} of {view.drive.unknowns}; smallest nonzero singular value"
+            f"rank {found.value} of {len(view.drive.truth)}; smallest nonzero singular value"
             f" {found.singular_values[found.value - 1]:.1e} of the largest, then a gap of"
             f" {found.gap:.0e}"
         )

@@ -81,46 +81,41 @@ class FilterBackend(Protocol):
 
 
 @dataclass(frozen=True)
-class CartesianPrior:
-    """Start pose and home bearings of q landmarks, before the drive."""
+class Setup:
+    """Start prior, home bearings and noise of a filter, in its order of q landmarks."""
 
     polar: Polar
+    """Start prior: R [m], theta, alpha [rad]."""
     sigmas: np.ndarray
-    """(3,), standard deviations of R [m], theta, alpha [rad]."""
-    home: np.ndarray
-    """(q,), stored home bearings beta* [rad]."""
-    home_sigma: np.ndarray
-    """(q,) [rad]"""
-    inverse_distance: float
-    """Expected inverse distance of a landmark from home [1/m]."""
-    inverse_sigma: float
-    """Its standard deviation [1/m]."""
-
-
-@dataclass(frozen=True)
-class SensorNoise:
-    """Assumed noise of odometry and camera."""
-
-    input_density: np.ndarray
-    """(2,), of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz]."""
+    """(3,), its standard deviations."""
+    stored: np.ndarray
+    """(q,), beta* in the robot's home frame [rad]."""
     bearing_sigma: float
     """Standard deviation of a bearing without its own [rad]."""
+    input_density: np.ndarray
+    """(2,), variance density of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz]."""
     gate: float
     """Largest accepted innovation^2 / variance."""
+    minimum_visible: int
+    """A stamp with fewer landmarks in view is not used."""
 
 
 class CartesianFilter:
-    """Base of backends whose landmarks are a home bearing and an inverse distance from home."""
+    """Base of backends whose landmarks are a home bearing and an inverse distance from home.
+
+    `home_sigma` (q,) [rad] are the standard deviations of the home bearings, `inverse` the expected
+    inverse distance of a landmark and its standard deviation [1/m].
+    """
 
     engine: Engine = "interpreter"
     notes: tuple[str, ...] = ()
     diverged = 0
 
-    def __init__(self, prior: CartesianPrior, noise: SensorNoise, minimum_visible: int = 1) -> None:
-        self.prior, self.noise, self.minimum_visible = prior, noise, minimum_visible
-        self.stored = prior.home
+    def __init__(self, setup: Setup, home_sigma: np.ndarray, inverse: tuple[float, float]) -> None:
+        self.setup, self.home_sigma, self.inverse = setup, home_sigma, inverse
+        self.stored, self.minimum_visible = setup.stored, setup.minimum_visible
 
     def sighted(self, seen: Angles, sigmas: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return landmarks, bearings and sigmas [rad] of a stamp, (k,) each."""
-        own = [sigmas.get(i, self.noise.bearing_sigma) for i in seen]
+        own = [sigmas.get(i, self.setup.bearing_sigma) for i in seen]
         return np.array(list(seen)), np.array(list(seen.values())), np.array(own)

@@ -104,15 +104,14 @@ class InvariantFilter(CartesianFilter):
 
     def start(self) -> CartesianBelief:
         """Return the belief of the prior."""
-        prior, q, pose = self.prior, self.stored.size, from_polar(self.prior.polar)
-        spread = polar_covariance_to_pose(prior.polar, np.diag(prior.sigmas**2))
+        prior, q, pose = self.setup, self.stored.size, from_polar(self.setup.polar)
+        (expected, sigma), square = self.inverse, np.diag(prior.sigmas**2)
+        spread = polar_covariance_to_pose(prior.polar, square)
         by_pose = se2.lever(np.negative(pose))  # derivative of the error
-        covariance = np.diag(
-            np.r_[np.zeros(POSE), prior.home_sigma**2, np.full(q, prior.inverse_sigma**2)]
-        )
+        covariance = np.diag(np.r_[np.zeros(POSE), self.home_sigma**2, np.full(q, sigma**2)])
         covariance[:POSE, :POSE] = by_pose @ spread @ by_pose.T
-        inverse = np.full(q, prior.inverse_distance)
-        return CartesianBelief(np.array(pose), prior.home, inverse, covariance, np.zeros(q))
+        inverse = np.full(q, expected)
+        return CartesianBelief(np.array(pose), self.stored, inverse, covariance, np.zeros(q))
 
     def predict(
         self, belief: CartesianBelief, interval: float, twist: MaybeTwist
@@ -120,7 +119,7 @@ class InvariantFilter(CartesianFilter):
         """Return the belief `interval` [s] later, with the noise of the input added."""
         if interval <= 0.0:
             return belief
-        density = self.noise.input_density if twist else np.full(INPUTS, LOST_SIGMA**2)
+        density = self.setup.input_density if twist else np.full(INPUTS, LOST_SIGMA**2)
         after, by_input = motion_function()(belief.pose, twist or (0.0, 0.0), interval)
         by_input = np.asarray(by_input)
         covariance = belief.covariance.copy()
@@ -137,7 +136,7 @@ class InvariantFilter(CartesianFilter):
         rows, measured, own = self.sighted(seen, sigmas)
         innovation, H = self._innovations(belief, rows, measured)
         S = H @ belief.covariance @ H.T + np.diag(own**2)
-        inside = innovation**2 <= self.noise.gate * np.diag(S)
+        inside = innovation**2 <= self.setup.gate * np.diag(S)
         out["innovation"][rows], out["innovation_variance"][rows] = innovation, np.diag(S)
         out["accepted"][rows] = inside
         if inside.any():

@@ -13,11 +13,10 @@ from homeward.lab.filters.backend import (
     LOST_SIGMA,
     Angles,
     CartesianFilter,
-    CartesianPrior,
     LandmarkBelief,
     MaybeTwist,
     Outputs,
-    SensorNoise,
+    Setup,
     empty_outputs,
 )
 from homeward.lab.model import home_anchored_bearing
@@ -56,24 +55,24 @@ class ParticleFilter(CartesianFilter):
 
     def __init__(
         self,
-        prior: CartesianPrior,
-        noise: SensorNoise,
+        setup: Setup,
+        home_sigma: np.ndarray,
+        inverse: tuple[float, float],
         particles: int,
         outliers: float,
         seed: int = 0,
-        minimum_visible: int = 1,
     ) -> None:
-        super().__init__(prior, noise, minimum_visible)
+        super().__init__(setup, home_sigma, inverse)
         self._outliers, self._number, self._seed = outliers, particles, seed
 
     def start(self) -> Particles:
         """Return particles drawn from the prior."""
-        prior, size = self.prior, (self._number, self.stored.size)
+        prior, size = self.setup, (self._number, self.stored.size)
         drawn = np.array(prior.polar)[:, None] + prior.sigmas[:, None] * self._normal(0, 3)
         mark = np.empty((2, *size))
-        mark[0], mark[1] = prior.home, prior.inverse_distance
+        mark[0], mark[1] = self.stored, self.inverse[0]
         spread = np.zeros((2, 2, *size))
-        spread[0, 0], spread[1, 1] = prior.home_sigma**2, prior.inverse_sigma**2
+        spread[0, 0], spread[1, 1] = self.home_sigma**2, self.inverse[1] ** 2
         even = np.full(self._number, 1 / self._number)
         pose = np.array(from_polar(Polar(*drawn)))
         return Particles(pose, even, mark, spread, np.zeros(self.stored.size), 1)
@@ -82,7 +81,7 @@ class ParticleFilter(CartesianFilter):
         """Return the belief `interval` [s] later: every particle draws its own noise."""
         if interval <= 0.0:
             return belief
-        density = self.noise.input_density if twist else np.full(2, LOST_SIGMA**2)
+        density = self.setup.input_density if twist else np.full(2, LOST_SIGMA**2)
         noise = np.sqrt(density / interval)[:, None] * self._normal(belief.draws, 2)
         v, omega = np.array(twist or (0.0, 0.0))[:, None] + noise
         pose = np.stack(advance(Pose(*belief.pose), Twist(v, omega), interval))
@@ -103,7 +102,7 @@ class ParticleFilter(CartesianFilter):
         share = self._outliers / (2 * math.pi)
         likelihood = np.log((1 - self._outliers) * right + share).sum(axis=1)
         weight = belief.weight * np.exp(likelihood - likelihood.max())
-        inside = innovation**2 <= self.noise.gate * variance
+        inside = innovation**2 <= self.setup.gate * variance
         gain = across * (inside / variance)
         new_mark, new_spread = belief.mark.copy(), belief.spread.copy()
         new_mark[:, :, rows] = mark + gain * innovation

@@ -202,24 +202,13 @@ def printed_matrix() -> tuple[Entry, ...]:
     return tuple(Entry(*entry[:4], float(entry[4]), float(entry[5])) for entry in entries)
 
 
-@dataclass(frozen=True)
-class RankRow:
-    """A row of the table of ranks."""
+def rank_table() -> list[tuple[int, ...]]:
+    """Return the rank of the codistribution for q = 1 .. `MAX_ROWS` landmarks.
 
-    landmarks: int
-    n: int
-    bearings: int
-    """Rank with bearings alone."""
-    compass: int
-    """Rank with bearings and a compass."""
-    distances: int
-    """Rank with bearings and the landmarks' distances from home."""
-
-
-def rank_table() -> tuple[RankRow, ...]:
-    """Return the rank of the codistribution for q = 1 .. `MAX_ROWS` landmarks."""
+    A row has q, the size n of the state, and the rank with bearings alone, with a compass, and with
+    the landmarks' distances from home.
+    """
     known: tuple[dict[str, bool], ...] = ({}, {"compass": True}, {"distances": True})
-    return tuple(
-        RankRow(q, q + POLAR, *(observe_model(q, **k).rank for k in known))
-        for q in range(1, MAX_ROWS + 1)
-    )
+    return [
+        (q, q + POLAR, *(observe_model(q, **k).rank for k in known)) for q in range(1, MAX_ROWS + 1)
+    ]

@@ -56,6 +56,8 @@ class Scene:
     """Whether the landmarks' distances from home are known."""
     axis: str = "the robot's first heading"
     """The x-axis of the frame in words."""
+    title: str = ""
+    """The drive in words."""
 
     @cached_property
     def length(self) -> float:
@@ -86,8 +88,9 @@ class Scene:
         """Return the derivatives of `outputs` at the true values, shape (rows, 3 + 2 q + c)."""
         return np.array(self._measure(self.truth)[1])
 
+    @cached_property
     def rank(self) -> Rank:
-        """Return the rank; its null space is in the units of the unknowns."""
+        """Rank of the derivatives; its null space is in the units of the unknowns."""
         return rank(self.jacobian(), self.worth)
 
     @cached_property

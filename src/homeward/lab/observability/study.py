@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -12,7 +11,6 @@ from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between, compose
 from homeward.lab.model import POLAR
 from homeward.lab.observability.lie import MAX_LANDMARKS, ModelRank, observe_model
-from homeward.lab.observability.ranks import Rank
 from homeward.lab.observability.scene import (
     CALIBRATIONS,
     Calibration,
@@ -62,7 +60,7 @@ def trace_family(scene: Scene) -> list[Trace]:
     step goes along the local null space; Newton's method then removes the effect of curvature. A
     curve ends where a member becomes distinguishable, for example at a landmark.
     """
-    null = scene.rank().null / scene.worth[:, None]
+    null = scene.rank.null / scene.worth[:, None]
     if not null.size:
         return []
     base = np.linalg.qr(null)[0]
@@ -85,7 +83,7 @@ def _both_ways(scene: Scene, direction: np.ndarray) -> Trace:
 
 def _follow(scene: Scene, direction: np.ndarray) -> list[np.ndarray]:
     """Return members in order from the true world, which is not included."""
-    worth, size = scene.worth, scene.rank().null.shape[1]
+    worth, size = scene.worth, scene.rank.null.shape[1]
     now, members = scene.truth, []
     tangents = _split(scene.jacobian() * worth, size)[1]
     for _ in range(MAX_MEMBERS):
@@ -163,7 +161,8 @@ def make_scene(
     poses = drive(Pose(0.0, 0.0, 0.0), twists, intervals)
     visible, stored = np.ones((STEPS + 1, landmarks), bool), np.ones(landmarks, bool)
     given = visible, stored, twists, intervals, unknown, compass, distances
-    return Scene(names, np.array(home, float), places, poses, *given)
+    title = _title(landmarks, motion, unknown)
+    return Scene(names, np.array(home, float), places, poses, *given, title=title)
 
 
 def _around(q: int) -> np.ndarray:
@@ -181,29 +180,6 @@ def _on_a_circle(q: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class SceneView:
-    """Observability of one drive past landmarks."""
-
-    title: str
-    scene: Scene
-
-    @cached_property
-    def found(self) -> Rank:
-        """Rank of the derivatives of all measurements by all unknowns."""
-        return self.scene.rank()
-
-    @cached_property
-    def freedoms(self) -> tuple[Freedom, ...]:
-        """Unobservable directions, in words."""
-        return tuple(in_words(self.scene, self.found.null))
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns: home (3), landmarks (2 q), calibrations."""
-        return len(self.scene.truth)
-
-
-@dataclass(frozen=True)
 class ModelView:
     """Observability of the paper's model with q landmarks, and an example drive."""
 
@@ -211,7 +187,7 @@ class ModelView:
     """Rank of the Lie derivatives, over all motions; None for one motion or with calibrations."""
     freedoms: tuple[Freedom, ...]
     """Unobservable directions, in words."""
-    drive: SceneView
+    drive: Scene
     family: tuple[Trace, ...]
     """Other worlds with the same measurements on that drive."""
 
@@ -241,16 +217,15 @@ def observe(
         raise InputError("the motion circle needs at least 2 landmarks")
     unknown = tuple(sorted(set(unknown), key=CALIBRATIONS.index))
     scene = make_scene(landmarks, motion or "arc", unknown, compass, distances)
-    drive = SceneView(_title(landmarks, motion or "arc", unknown), scene)
-    model, freedoms = None, drive.freedoms
+    model, freedoms = None, in_words(scene, scene.rank.null)
     if motion is None and not unknown:
         model = observe_model(landmarks, compass, distances)
-        freedoms = tuple(in_words(model.scene, model.null))
-    return ModelView(model, freedoms, drive, tuple(trace_family(scene)))
+        freedoms = in_words(model.scene, model.null)
+    return ModelView(model, tuple(freedoms), scene, tuple(trace_family(scene)))
 
 
-def observe_motions() -> tuple[SceneView, ...]:
-    """Return the views of typical motions and unknown calibrations."""
+def observe_motions() -> tuple[Scene, ...]:
+    """Return the drives of typical motions and unknown calibrations."""
     cases: list[tuple[int, Motion, tuple[Calibration, ...]]] = [
         (2, "arc", ()),
         (3, "arc", ()),
@@ -263,10 +238,7 @@ def observe_motions() -> tuple[SceneView, ...]:
         *((5, "arc", (name,)) for name in CALIBRATIONS),
         (5, "straight", ("turn-scale",)),
     ]
-    return tuple(
-        SceneView(_title(q, motion, unknown), make_scene(q, motion, unknown))
-        for q, motion, unknown in cases
-    )
+    return tuple(make_scene(*case) for case in cases)
 
 
 def _title(q: int, motion: Motion, unknown: tuple[Calibration, ...]) -> str:

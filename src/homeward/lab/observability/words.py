@@ -20,7 +20,7 @@ ON_CURVE = 1e-4
 """Largest relative distance of a landmark on a line or a circle."""
 
 
-def freedom_of_home(scene: Scene, moves: np.ndarray) -> str:
+def _freedom_of_home(scene: Scene, moves: np.ndarray) -> str:
     """Describe the freedom of home, given (3, k) directions of its pose."""
     place = np.linalg.svd(moves[:2] / scene.length, compute_uv=False)
     dims = int((place > 1e-6).sum())
@@ -39,10 +39,8 @@ def freedom_of_home(scene: Scene, moves: np.ndarray) -> str:
 
 def _curve(scene: Scene, direction: np.ndarray, turn: float) -> str:
     """Describe the curve along which home moves in a direction (2,): line, circle, or bearing."""
-    home = scene.home[:2]
     stored = np.flatnonzero(scene.stored)
-    marks = scene.landmarks[stored]
-    away = marks - home
+    away = scene.landmarks[stored] - scene.home[:2]
     far = np.maximum(np.hypot(*away.T), 1e-12)
     ahead = np.abs(direction[0] * away[:, 1] - direction[1] * away[:, 0]) / far
     if ahead.size and ahead.max() < ON_CURVE and abs(turn) * scene.length < ON_CURVE:
@@ -53,8 +51,7 @@ def _curve(scene: Scene, direction: np.ndarray, turn: float) -> str:
     across = np.abs(away @ direction) / far
     if stored.size == 1 and across[0] < ON_CURVE:
         return f"home may lie anywhere on a circle around {scene.names[stored[0]]}"
-    centre = _tangent_circle(home, direction, marks)
-    if stored.size >= 2 and centre is not None:
+    if stored.size >= 2 and _is_on_circle(away, direction):
         return (
             f"home may lie anywhere on the circle through itself, {names(scene, stored)}"
             " (on its arc between them), with a heading that changes along it"
@@ -63,22 +60,16 @@ def _curve(scene: Scene, direction: np.ndarray, turn: float) -> str:
     return f"home slides in the direction {angle:.0f}° from {scene.axis}"
 
 
-def _tangent_circle(
-    home: np.ndarray, direction: np.ndarray, marks: np.ndarray
-) -> np.ndarray | None:
-    """Return the centre of the circle tangent to `direction` at home that contains all marks."""
-    normal = np.array([-direction[1], direction[0]])
-    away = marks - home
-    across = away @ normal
-    if len(marks) < 2 or np.abs(across).min() < 1e-9:
-        return None
+def _is_on_circle(away: np.ndarray, direction: np.ndarray) -> bool:
+    """Return whether one circle, tangent to `direction` at home, contains all marks (k, 2)."""
+    across = away @ np.array([-direction[1], direction[0]])
+    if np.abs(across).min() < 1e-9:
+        return False
     radii = (away**2).sum(axis=1) / (2 * across)
-    if np.ptp(radii) > ON_CURVE * np.abs(radii).min():
-        return None
-    return np.asarray(home + radii[0] * normal)
+    return bool(np.ptp(radii) <= ON_CURVE * np.abs(radii).min())
 
 
-def slide_of_home(scene: Scene, move: np.ndarray) -> str:
+def _slide_of_home(scene: Scene, move: np.ndarray) -> str:
     """Describe how home moves in one direction, in metres and degrees."""
     far, turn = float(np.hypot(*move[:2])), np.degrees(move[2])
     if far < 1e-9:
@@ -140,7 +131,7 @@ Described = list[tuple[str, np.ndarray]]
 def _home_alone(scene: Scene, found: np.ndarray) -> Described:
     """Home moves while robot and landmarks stay."""
     moves = found[:POLAR] * scene.worth[:POLAR, None]
-    return [(freedom_of_home(scene, moves), found)]
+    return [(_freedom_of_home(scene, moves), found)]
 
 
 def _home_anywhere(scene: Scene, found: np.ndarray) -> Described:
@@ -226,7 +217,7 @@ def _home_and_sights(scene: Scene, found: np.ndarray) -> Described:
         sliding += f" {'line' if one else 'lines'} of sight from the robot"
         moving = np.abs(v[:POLAR]).max() > 1e-6
         home = v[:POLAR] * scene.worth[:POLAR]
-        words = f"{slide_of_home(scene, home)} while {sliding}" if moving else sliding
+        words = f"{_slide_of_home(scene, home)} while {sliding}" if moving else sliding
         described.append((words, v[:, None]))
     return described
 

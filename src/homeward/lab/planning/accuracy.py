@@ -9,8 +9,7 @@ These add up over landmarks, so that hiding a landmark is a subtraction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,18 +30,7 @@ FULL = 2 * np.pi - 1e-3
 """Minimum field of view of a panoramic camera [rad]."""
 
 
-@dataclass(frozen=True)
-class Fix:
-    """Bound on the pose after the arc, at n places."""
-
-    position: np.ndarray
-    """(n,), minimum position error [m], RMS; infinite where unobservable."""
-    heading: np.ndarray
-    """(n,), minimum heading error [rad], RMS; infinite where unobservable."""
-
-
-@dataclass(frozen=True)
-class Information:
+class Information(NamedTuple):
     """Information from q landmarks at n places, in one direction."""
 
     each: np.ndarray
@@ -51,16 +39,6 @@ class Information:
     """(n, q), bool: seen from the arc."""
     common: np.ndarray
     """(n, q), bool: seen from the arc and from home."""
-
-    @cached_property
-    def every(self) -> np.ndarray:
-        """(n, d, d), sum over all landmarks."""
-        return np.asarray(self.each.sum(axis=1))
-
-    @cached_property
-    def count(self) -> np.ndarray:
-        """(n,), number of landmarks in common with home."""
-        return np.asarray(self.common.sum(axis=1))
 
 
 class Arcs:
@@ -136,19 +114,23 @@ class Arcs:
         lost = cross[:, :stops] @ cross[:, :stops].swapaxes(1, 2) / half
         return np.asarray((np.eye(stops) - lost) / plan.sensor.bearing_sigma**2)
 
-    def fix(self, information: np.ndarray) -> Fix:
-        """Return the bound on the last pose from summed information (n, d, d)."""
+    def errors(self, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the minimum errors of position [m] and heading [rad] after the arc, (n,) each.
+
+        They are RMS errors, from summed information (n, d, d); infinite where unobservable.
+        """
         # The prior variance of an error of odometry, in sigmas, is 1.
         prior = np.diag(np.r_[np.full(POSE, 1 / WEAK_PRIOR_M**2), np.ones(self.d - POSE)])
         covariance = np.linalg.inv(information + prior)
         x, y, heading = (covariance[:, k, k] for k in range(POSE))
         known = (x + y > 0) & (x + y <= UNOBSERVABLE_M**2) & (heading > 0)
-        return Fix(*(np.sqrt(np.where(known, v, np.inf)) for v in (x + y, heading)))
+        position, heading = (np.sqrt(np.where(known, v, np.inf)) for v in (x + y, heading))
+        return position, heading
 
-    def score(self, fix: Fix, common: np.ndarray) -> np.ndarray:
+    def score(self, position: np.ndarray, heading: np.ndarray, common: np.ndarray) -> np.ndarray:
         """Return the larger error relative to its limit; infinite with too few landmarks."""
         limits = self.plan.limits
-        worse = np.maximum(fix.position / limits.position, fix.heading / limits.heading)
+        worse = np.maximum(position / limits.position, heading / limits.heading)
         return np.asarray(np.where(common >= limits.landmarks, worse, np.inf))
 
 

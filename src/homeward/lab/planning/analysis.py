@@ -103,23 +103,25 @@ def _at(
     common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, len(marks)), np.inf)
     for h in range(len(arcs.headings)):
         info = arcs.information(places, marks, visible, stored, h)
-        fix = arcs.fix(info.every)
-        common = np.maximum(common, info.count)
-        better = fix.position < position
-        position = np.where(better, fix.position, position)
-        heading = np.where(better, fix.heading, heading)
-        here = arcs.score(fix, info.count)
+        every, count = info.each.sum(axis=1), info.common.sum(axis=1)
+        found = arcs.errors(every)
+        common = np.maximum(common, count)
+        better = found[0] < position
+        position, heading = np.where(better, found, (position, heading))
+        here = arcs.score(*found, count)
         score = np.minimum(score, here)
-        hidden = np.minimum(hidden, _without_each(arcs, info, here))
+        hidden = np.minimum(hidden, _without_each(arcs, info, every, count, here))
     return position, heading, common, score, hidden
 
 
-def _without_each(arcs: Arcs, info: Information, score: np.ndarray) -> np.ndarray:
-    """Return scores (n, q) without each landmark, given those with all landmarks (n,)."""
+def _without_each(
+    arcs: Arcs, info: Information, every: np.ndarray, count: np.ndarray, score: np.ndarray
+) -> np.ndarray:
+    """Return scores (n, q) without each landmark, given the sums and the score of all (n,)."""
     out = np.repeat(score[:, None], info.seen.shape[1], axis=1)
     place, mark = np.nonzero(info.seen)
     for begin in range(0, place.size, SLICE):
         row, hidden = place[begin : begin + SLICE], mark[begin : begin + SLICE]
-        fix = arcs.fix(info.every[row] - info.each[row, hidden])
-        out[row, hidden] = arcs.score(fix, info.count[row] - info.common[row, hidden])
+        errors = arcs.errors(every[row] - info.each[row, hidden])
+        out[row, hidden] = arcs.score(*errors, count[row] - info.common[row, hidden])
     return out

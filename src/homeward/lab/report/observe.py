@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,12 @@ from matplotlib.figure import Figure
 
 from homeward.io.writing import whole_folder
 from homeward.lab.observability.lie import printed_matrix, rank_table
+from homeward.lab.observability.scene import Scene
 from homeward.lab.observability.study import ModelView, Trace, observe_motions
+from homeward.lab.observability.words import in_words
 from homeward.lab.studies.observing import DriveView
 from homeward.runs.report import html, words
-from homeward.runs.report.canvas import drawn, name_mark, new_figure, style
+from homeward.runs.report.canvas import drawn, name_mark, styled_figure
 from homeward.runs.report.files import write_settings
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
 from homeward.runs.report.words import name
@@ -36,9 +38,8 @@ TEXTS = html.texts("homeward.lab.report")["observe"]
 
 def draw_family(view: ModelView) -> Figure:
     """Draw a drive with landmarks, and other homes and landmarks with the same bearings."""
-    scene, q = view.drive.scene, len(view.drive.scene.names)
-    with style():
-        figure = new_figure(5.8)
+    scene, q = view.drive, len(view.drive.names)
+    with styled_figure(5.8) as figure:
         axes = figure.add_subplot(aspect="equal")
         for trace in view.family:
             _draw_trace(axes, trace, q)
@@ -84,7 +85,7 @@ def _draw_arrow(axes: Axes, pose: np.ndarray, size: float, colour: str) -> None:
 
 def _limit(axes: Axes, view: ModelView) -> None:
     """Set the limits to the scene and the near part of the family."""
-    scene = view.drive.scene
+    scene = view.drive
     real = np.vstack([scene.home[None, :2], scene.landmarks, scene.poses[:, :2]])
     centre, reach = real.mean(axis=0), 1.3 * float(np.ptp(real, axis=0).max())
     homes = [t.homes[:, :2] for t in view.family]
@@ -103,7 +104,7 @@ def _legend(figure: Figure, axes: Axes, view: ModelView) -> None:
     if any(moves):
         label = "other homes with the same bearings"
         axes.plot([], [], marker=HOUSE, ms=8, color=ORANGE, label=label)
-    q = len(view.drive.scene.names)
+    q = len(view.drive.names)
     if any(np.ptp(t.landmarks(q), axis=0).max() > 1e-6 for t in view.family):
         axes.plot([], [], color=SKY, label="their landmarks")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -111,7 +112,8 @@ def _legend(figure: Figure, axes: Axes, view: ModelView) -> None:
 
 def draw_drive_view(view: DriveView) -> Figure:
     """Draw the path coloured by the position error of each window, and that error over time."""
-    drawn = np.vstack([np.zeros((1, 2)), view.poses[:, :2], _near(view)])
+    scene, path = view.scene, view.scene.poses[:, :2]
+    drawn = np.vstack([np.zeros((1, 2)), path, _near(scene)])
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     extent = float((high - low).max())
     margin = 0.05 * extent + 0.2
@@ -119,22 +121,21 @@ def draw_drive_view(view: DriveView) -> Figure:
     # The height fits the map.
     height = MAP_IN * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 1.2))
     norm = LogNorm(BEST_M, WORST_M, clip=True)
-    with style():
-        figure = new_figure(height + 2.6)
+    with styled_figure(height + 2.6) as figure:
         top, bottom = figure.subplots(2, 1, height_ratios=[height, 1.7])
         top.set_aspect("equal")
         middles = np.array([(w.begin + w.end) / 2 for w in view.windows])
         sigmas = np.array([w.position_sigma for w in view.windows])
         nearest = np.searchsorted((middles[1:] + middles[:-1]) / 2, view.t)
         lines = LineCollection(
-            list(np.stack([view.poses[:-1, :2], view.poses[1:, :2]], axis=1)),
+            list(np.stack([path[:-1], path[1:]], axis=1)),
             cmap=COLOURS,
             norm=norm,
             lw=2.2,
         )
         lines.set_array(np.minimum(sigmas, WORST_M)[nearest[:-1]])
         top.add_collection(lines)
-        for text, place, stored in zip(view.names, view.places, view.stored, strict=True):
+        for text, place, stored in zip(scene.names, scene.landmarks, scene.stored, strict=True):
             top.plot(*place, "*", ms=9, color=INK if stored else MUTED, mec="white", zorder=5)
             name_mark(top, name(text), place, (7, 4), annotation_clip=True, zorder=8)
         _draw_home(top, np.zeros(3), 0.5 * extent)
@@ -157,11 +158,11 @@ def _draw_time(axes: Axes, view: DriveView, t: np.ndarray, sigmas: np.ndarray) -
         axes.set_ylim(BEST_M, WORST_M)
 
 
-def _near(view: DriveView) -> np.ndarray:
+def _near(scene: Scene) -> np.ndarray:
     """Return the landmarks near the path, shape (k, 2)."""
-    centre = view.poses[:, :2].mean(axis=0)
-    reach = 2.0 + 1.5 * float(np.ptp(view.poses[:, :2], axis=0).max())
-    return np.asarray(view.places[np.abs(view.places - centre).max(axis=1) < reach])
+    centre = scene.poses[:, :2].mean(axis=0)
+    reach = 2.0 + 1.5 * float(np.ptp(scene.poses[:, :2], axis=0).max())
+    return np.asarray(scene.landmarks[np.abs(scene.landmarks - centre).max(axis=1) < reach])
 
 
 SETTINGS_FILE = "observe.yaml"
@@ -173,15 +174,11 @@ FIGURE = "observe"
 def write_model_view(directory: Path, view: ModelView, settings: dict[str, Any]) -> None:
     """Write observe.html, observe.png, observe.svg and observe.yaml; errors as `whole_folder`."""
     members = sum(len(t.unknowns) - 1 for t in view.family)
-    text = TEXTS["family"].format(members, same_to(view))
+    text = TEXTS["family"].format(members, same_to(view)) if view.family else ""
     label = "Worlds with equal bearings"
-
-    def own(figure: Markup) -> Markup:
-        heading = label if view.family else "The drive"
-        return html.section(heading, html.figure(figure), html.note(text if view.family else ""))
-
-    title = f"Observability: {view.drive.title}"
-    _write(directory, title, model_summary(view), (label, draw_family(view)), own, settings)
+    heads = f"Observability: {view.drive.title}", label if view.family else "The drive"
+    drawing = label, draw_family(view)
+    _write(directory, heads, model_summary(view), drawing, [html.note(text)], settings)
 
 
 def write_drive_view(directory: Path, view: DriveView, settings: dict[str, Any]) -> None:
@@ -190,15 +187,11 @@ def write_drive_view(directory: Path, view: DriveView, settings: dict[str, Any])
     text = TEXTS["windows"].format(settings["window"], view.path_from, *sigmas)
     missing = view.unplaced
     unplaced = TEXTS["unplaced"].format(words.listing(missing, 20)) if missing else ""
-
-    def own(figure: Markup) -> Markup:
-        table = html.table("rrrrrrw", _window_rows(view))
-        heading = "Observability of the pose in each window"
-        return html.section(heading, html.figure(figure), html.note(text, unplaced), table)
-
+    parts = [html.note(text, unplaced), html.table("rrrrrrw", _window_rows(view))]
     title = f"Observability of {words.name(view.name, 60)}"
-    label = "The path, coloured by the minimum position error"
-    _write(directory, title, drive_summary(view), (label, draw_drive_view(view)), own, settings)
+    drawing = "The path, coloured by the minimum position error", draw_drive_view(view)
+    heads = title, "Observability of the pose in each window"
+    _write(directory, heads, drive_summary(view), drawing, parts, settings)
 
 
 def _window_rows(view: DriveView) -> list[list[object]]:
@@ -229,7 +222,7 @@ def model_summary(view: ModelView) -> str:
     else:
         d = view.drive
         head = (
-            f"{d.title[0].upper()}{d.title[1:]}: {d.found.value} of {d.unknowns} unknowns are"
+            f"{d.title[0].upper()}{d.title[1:]}: {d.rank.value} of {len(d.truth)} unknowns are"
             " observable."
         )
     if not view.freedoms:
@@ -273,17 +266,22 @@ def same_to(view: ModelView) -> float:
 
 def _write(
     directory: Path,
-    title: str,
+    heads: tuple[str, str],
     summary: str,
     drawing: tuple[str, Figure],
-    own: Callable[[Markup], Markup],
+    parts: list[Markup],
     settings: dict[str, Any],
 ) -> None:
-    """Write a page with a section of its `own`, made of the figure, and those of all pages."""
+    """Write a page with a section of the figure and its own `parts`, and those of all pages.
+
+    `heads` are the title and the heading of that section.
+    """
+    title, heading = heads
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         _, figure = drawn(scratch, FIGURE, *drawing, vector="svg")
         head = html.header(title, html.summary(summary))
-        text = html.page(title, head, own(figure), _landmark_numbers(), _motions(), _matrix())
+        own = html.section(heading, html.figure(figure), *parts)
+        text = html.page(title, head, own, _landmark_numbers(), _motions(), _matrix())
         (scratch / PAGE).write_text(text, encoding="utf-8")
         write_settings(scratch / SETTINGS_FILE, settings)
 
@@ -291,35 +289,26 @@ def _write(
 def _landmark_numbers() -> Markup:
     head = "landmarks q", "state n", "rank, bearings", "and a compass", "and known distances"
     rows: list[Sequence[object]] = [head]
-    for row in rank_table():
-        ranks = (row.bearings, row.compass, row.distances)
-        found = (f"{r} of {row.n}, all" if r == row.n else f"{r} of {row.n}" for r in ranks)
-        rows.append([row.landmarks, row.n, *found])
+    for q, n, *ranks in rank_table():
+        rows.append([q, n, *(f"{r} of {n}, all" if r == n else f"{r} of {n}" for r in ranks)])
     table = html.table("rrrrr", rows)
     return html.section("Required number of landmarks", table, html.note(TEXTS["numbers"]))
 
 
 def _motions() -> Markup:
     rows = [["Drive", "rank", "Unobservable"]]
-    for view in observe_motions():
-        free = "; ".join(freedom.words for freedom in view.freedoms) or "nothing"
-        rows.append([view.title, f"{view.found.value} of {view.unknowns}", free])
+    for scene in observe_motions():
+        found = scene.rank
+        free = "; ".join(freedom.words for freedom in in_words(scene, found.null)) or "nothing"
+        rows.append([scene.title, f"{found.value} of {len(scene.truth)}", free])
     table = html.table("lrw", rows)
     return html.section("Observability by motion", table, html.note(TEXTS["motions"]))
 
 
 def _matrix() -> Markup:
     entries = printed_matrix()
-    rows = [
-        [
-            "Entry",
-            "derivative by",
-            "correct formula",
-            "at the paper's start",
-            "the model",
-            "printed",
-        ]
-    ]
+    head = "Entry", "derivative by", "correct formula", "at the paper's start", "the model"
+    rows: list[Sequence[object]] = [(*head, "printed")]
     for e in entries:
         result = "correct" if e.right else "wrong sign"
         rows.append([e.name, e.by, e.formula, f"{e.value:.6f}", f"{e.exact:.6f}", result])

@@ -26,8 +26,7 @@ from homeward.runs.report.canvas import (
     drawn,
     legend_below,
     name_mark,
-    new_figure,
-    style,
+    styled_figure,
     uncrowd,
 )
 from homeward.runs.report.files import number
@@ -50,8 +49,7 @@ MULTIPLES = 6
 def draw_begin(view: PlanView) -> Figure:
     """Draw where homing can begin."""
     classes = np.isfinite(view.score).astype(int) + view.begins + view.safe
-    with style():
-        figure = new_figure(_height(view) + 0.9)
+    with styled_figure(_height(view) + 0.9) as figure:
         axes = figure.add_subplot(aspect="equal")
         colours = ListedColormap([colour for colour, _ in CLASSES])
         _image(axes, view, classes, cmap=colours, vmin=-0.5, vmax=3.5)
@@ -70,8 +68,7 @@ def draw_accuracy(view: PlanView) -> Figure:
         (view.position, limits.position, "minimum position error [m]"),
         (np.degrees(view.heading), np.degrees(limits.heading), "minimum heading error [°]"),
     )
-    with style():
-        figure = new_figure(0.5 * _height(view) + 0.8)
+    with styled_figure(0.5 * _height(view) + 0.8) as figure:
         for axes, (values, limit, label) in zip(figure.subplots(1, 2), panels, strict=True):
             axes.set_aspect("equal")
             shown = np.where(np.isfinite(values), values, np.nan)
@@ -90,9 +87,8 @@ def draw_accuracy(view: PlanView) -> Figure:
 def draw_hidden(view: PlanView) -> Figure:
     """Draw the cost of hiding a landmark, for the most important ones."""
     worst = costliest(view)[:MULTIPLES]
-    with style():
-        rows = -(-max(len(worst), 1) // 3)
-        figure = new_figure(rows * (_height(view) / 3 + 0.35))
+    rows = -(-max(len(worst), 1) // 3)
+    with styled_figure(rows * (_height(view) / 3 + 0.35)) as figure:
         panels = np.atleast_1d(figure.subplots(rows, 3, squeeze=False).ravel())
         for axes in panels[len(worst) :]:
             axes.set_axis_off()

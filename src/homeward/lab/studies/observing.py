@@ -8,11 +8,11 @@ exact. It is a limit from geometry only; `homeward.lab.bounds` includes the erro
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Drive, Sightings
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, between, compose
@@ -80,13 +80,9 @@ class DriveView:
     """[rad]"""
     t: np.ndarray
     """(n,), bearing stamps from the start of the drive [s]."""
-    poses: np.ndarray
-    """(n, 3), of the camera from the camera at home: x [m], y [m], heading [rad]."""
-    names: tuple[str, ...]
-    places: np.ndarray
-    """(q, 2), landmark positions from the camera at home [m]."""
-    stored: np.ndarray
-    """(q,), bool, whether the home bearing agrees with the position."""
+    scene: Scene
+    """The camera's path from the camera at home, and the landmarks; those whose home bearing agrees
+    with their position are `stored`."""
     unplaced: tuple[str, ...]
     """Landmarks with too few sightings or too little parallax for a position; not used."""
     windows: tuple[Window, ...]
@@ -115,19 +111,21 @@ def observe_drive(
     `HomewardError` when there is neither ground truth nor a pose, or no landmark has a position.
     """
     check_window(drive, window)
-    rows, poses, path_from = _path(drive)
-    seen = _Seen(drive, rows, poses)
-    step = window / OVERLAP
-    begins = np.arange(0.0, max(seen.t[-1] - window + step, 1e-9), step)
+    rows, robot, path_from = _path(drive)
+    sigma = drive.settings.sensor.bearing_sigma or LocalizerSettings().bearing_sigma
+    given = [b.sigma for b in drive.home.values() if np.isfinite(b.sigma)]
+    sigmas = sigma, float(np.median(given)) if given else sigma
+    seen = drive.sightings.rows(rows)
+    t, scene, unplaced = _scene(drive, seen, robot, sigma)
+    step, end = window / OVERLAP, float(t[-1])
+    begins = np.arange(0.0, max(end - window + step, 1e-9), step).tolist()
     windows = []
     for k, begin in enumerate(begins):
-        windows.append(seen.window(float(begin), min(float(begin) + window, float(seen.t[-1]))))
+        windows.append(_window(scene, t, sigmas, begin, min(begin + window, end)))
         if progress is not None:
-            progress((k + 1) / begins.size)
-    whole = seen.window(0.0, float(seen.t[-1]))
-    path = seen.sigma, seen.home_sigma, seen.t, seen.poses
-    marks = seen.names, seen.places, seen.stored, seen.unplaced
-    return DriveView(drive.name, path_from, *path, *marks, tuple(windows), whole)
+            progress((k + 1) / len(begins))
+    whole = _window(scene, t, sigmas, 0.0, end)
+    return DriveView(drive.name, path_from, *sigmas, t, scene, unplaced, tuple(windows), whole)
 
 
 def _path(drive: Drive) -> tuple[np.ndarray, Pose, str]:
@@ -148,77 +146,66 @@ def _path(drive: Drive) -> tuple[np.ndarray, Pose, str]:
     return rows, Pose(track.x[at], track.y[at], track.heading[at]), "the robust localiser, smoothed"
 
 
-class _Seen:
-    """Sightings of a drive with their poses."""
+def _scene(
+    drive: Drive, seen: Sightings, robot: Pose, sigma: float
+) -> tuple[np.ndarray, Scene, tuple[str, ...]]:
+    """Return the stamps of sightings with a pose (n,), their scene, and landmarks left out of it.
 
-    def __init__(self, drive: Drive, rows: np.ndarray, robot: Pose) -> None:
-        defaults, sensor = LocalizerSettings(), drive.settings.sensor
-        self.sigma = sensor.bearing_sigma or defaults.bearing_sigma
-        given = [b.sigma for b in drive.home.values() if np.isfinite(b.sigma)]
-        self.home_sigma = float(np.median(given)) if given else self.sigma
-        camera = between(drive.settings.home_mount.pose, compose(robot, sensor.pose))
-        every = np.stack([camera.x, camera.y, camera.heading], axis=1)
-        stamps = drive.sightings.t[rows]
-        self.t, at = np.unique(stamps - stamps[0], return_inverse=True)
-        self.poses = np.zeros((self.t.size, POLAR))
-        self.poses[at] = every
-        ids = drive.sightings.landmark[rows]
-        self._place(drive, ids, every, drive.sightings.bearing[rows], defaults.parallax)
-        self.visible = np.zeros((self.t.size, len(self.names)), bool)
-        column = {name: i for i, name in enumerate(self.names)}
-        kept = np.array([name in column for name in ids], bool)
-        self.visible[at[kept], [column[name] for name in ids[kept]]] = True
+    Landmarks are triangulated from the path, and compared with the home bearings.
+    """
+    camera = between(drive.settings.home_mount.pose, compose(robot, drive.settings.sensor.pose))
+    cameras = np.stack(camera, axis=1)
+    t, at = np.unique(seen.t - seen.t[0], return_inverse=True)
+    poses = np.zeros((t.size, POLAR))
+    poses[at] = cameras
+    places, visible, stored, unplaced = {}, [], [], []
+    for name in sorted(set(seen.landmark.tolist()), key=natural):
+        mine = seen.landmark == name
+        of_each = np.full(int(mine.sum()), sigma)
+        parallax = LocalizerSettings().parallax
+        found = triangulate(cameras[mine], seen.bearing[mine], of_each, parallax)
+        if found is None:
+            unplaced.append(str(name))
+            continue
+        places[str(name)] = found[0]
+        visible.append(np.isin(np.arange(t.size), at[mine]))
+        home, true = drive.home.get(str(name)), bearing(Pose(0.0, 0.0, 0.0), *found[0])
+        stored.append(home is not None and abs(wrap(home.bearing - true)) < MOVED)
+    if not places:
+        raise HomewardError(f"{drive.name}: no landmark has enough parallax for a position")
+    scene = Scene(
+        tuple(places),
+        np.zeros(POLAR),
+        np.array([*places.values()]),
+        poses,
+        np.array(visible).T,
+        np.array(stored, bool),
+        axis="home's x-axis",
+    )
+    return t, scene, tuple(unplaced)
 
-    def _place(
-        self,
-        drive: Drive,
-        ids: np.ndarray,
-        cameras: np.ndarray,
-        bearings: np.ndarray,
-        parallax: float,
-    ) -> None:
-        """Triangulate the landmarks, and compare them with the home bearings."""
-        names, places, stored, unplaced = [], [], [], []
-        for name in sorted(set(ids.tolist()), key=natural):
-            mine = ids == name
-            sigmas = np.full(int(mine.sum()), self.sigma)
-            found = triangulate(cameras[mine], bearings[mine], sigmas, parallax)
-            if found is None:
-                unplaced.append(str(name))
-                continue
-            names.append(str(name))
-            places.append(found[0])
-            at_home = drive.home.get(str(name))
-            error = np.inf
-            if at_home is not None:
-                error = abs(wrap(at_home.bearing - bearing(Pose(0.0, 0.0, 0.0), *found[0])))
-            stored.append(error < MOVED)
-        if not names:
-            raise HomewardError(f"{drive.name}: no landmark has enough parallax for a position")
-        self.names, self.unplaced = tuple(names), tuple(unplaced)
-        self.places, self.stored = np.array(places), np.array(stored, bool)
 
-    def window(self, begin: float, end: float) -> Window:
-        """Return the observability in a window."""
-        rows = np.flatnonzero((self.t >= begin) & (self.t <= end))
-        which = np.flatnonzero(self.visible[rows].any(axis=0) & self.stored)
-        rows = rows[self.visible[np.ix_(rows, which)].any(axis=1)]
-        names = tuple(self.names[i] for i in which)
-        visible = self.visible[np.ix_(rows, which)]
-        if not rows.size:
-            unknown, words = (
-                np.full((3, 3), np.inf),
-                ("no landmark with a home bearing was in view",),
-            )
-            return Window(begin, end, 0, names, 0, POLAR, unknown, words)
-        stored, home = np.ones(which.size, bool), np.zeros(POLAR)
-        places = home, self.places[which], self.poses[rows]
-        scene = Scene(names, *places, visible, stored, axis="home's x-axis")
-        sigmas = np.repeat([self.sigma, self.home_sigma], [visible.sum(), which.size])
-        found = rank(scene.jacobian() / sigmas[:, None], scene.worth)
-        covariance, weakest = _covariance_and_weakest(scene, found.null, sigmas)
-        size, unknowns = int(visible.sum()), len(scene.truth)
-        return Window(begin, end, size, names, found.value, unknowns, covariance, weakest)
+def _window(
+    scene: Scene, t: np.ndarray, sigmas: tuple[float, float], begin: float, end: float
+) -> Window:
+    """Return the observability in a window; `sigmas` are those of bearings now and at home."""
+    rows = np.flatnonzero((t >= begin) & (t <= end))
+    which = np.flatnonzero(scene.visible[rows].any(axis=0) & scene.stored)
+    rows = rows[scene.visible[np.ix_(rows, which)].any(axis=1)]
+    if not rows.size:
+        words = ("no landmark with a home bearing was in view",)
+        return Window(begin, end, 0, (), 0, POLAR, np.full((3, 3), np.inf), words)
+    names, visible = tuple(scene.names[i] for i in which), scene.visible[np.ix_(rows, which)]
+    marks, stored = scene.landmarks[which], scene.stored[which]
+    part = replace(
+        scene, names=names, landmarks=marks, poses=scene.poses[rows], visible=visible, stored=stored
+    )
+    size = int(visible.sum())
+    each = np.repeat(sigmas, [size, which.size])
+    found = rank(part.jacobian() / each[:, None], part.worth)
+    covariance, weakest = _covariance_and_weakest(part, found.null, each)
+    unknowns = len(part.truth)
+    return Window(begin, end, size, names, found.value, unknowns, covariance, weakest)
 
 
 def _covariance_and_weakest(

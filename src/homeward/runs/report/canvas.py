@@ -21,6 +21,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from homeward.errors import printable
 from homeward.runs.report.palette import INK, MUTED, RULE
@@ -81,11 +82,13 @@ def plain(label: str) -> str:
     return printable(label).replace("$", r"\$")
 
 
-def new_figure(height_in: float) -> Figure:
-    """Return an empty figure of the common width; use it within `style`."""
-    figure = Figure(figsize=(WIDTH_IN, height_in))
-    FigureCanvasAgg(figure)
-    return figure
+@contextmanager
+def styled_figure(height_in: float, salt: str = "homeward") -> Iterator[Figure]:
+    """Yield an empty figure of the common width, to be drawn within this block; see `style`."""
+    with style(salt):
+        figure = Figure(figsize=(WIDTH_IN, height_in))
+        FigureCanvasAgg(figure)
+        yield figure
 
 
 def png(figure: Figure, dpi: float = 150) -> bytes:
@@ -194,6 +197,14 @@ def name_mark(
     """Write a user's label unchanged, at an `offset` [points] from a position `at` (2,)."""
     options |= {"in_layout": False, "parse_math": False}
     axes.annotate(text, (at[0], at[1]), offset, textcoords="offset points", **options)
+
+
+def log_axis(axes: Axes, ticks: LogLocator) -> None:
+    """Give axes a logarithmic x axis with plain numbers, and labels at major ticks only."""
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(ticks)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def bare(axes: Axes) -> None:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from homeward.drives.drive import Drive
 from homeward.io.naming import natural
 from homeward.odometry.history import dead_reckoning
-from homeward.runs.report.canvas import new_figure, plain, style
+from homeward.runs.report.canvas import plain, styled_figure
 from homeward.runs.report.palette import BLUE, INK, MUTED, VERMILLION
 
 LABEL_RADII, MIN_LABEL_GAP = (1.14, 1.25, 1.36), 0.12
@@ -22,8 +22,7 @@ MAX_DRAWN = 100
 
 def draw_drive(drive: Drive) -> Figure:
     """Draw the path from odometry alone, the home bearings, and the bearings over time."""
-    with style():
-        figure = new_figure(6.4)
+    with styled_figure(6.4) as figure:
         grid = figure.add_gridspec(2, 2, height_ratios=(1.15, 1))
         floor, rose = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1], polar=True)
         path = dead_reckoning(drive.odometry, drive.odometry.t)

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from homeward.io.writing import write_whole
 from homeward.places.place import Place
 from homeward.runs.report import html, words
-from homeward.runs.report.canvas import legend_below, new_figure, plain, style, svg
+from homeward.runs.report.canvas import legend_below, plain, styled_figure, svg
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, VERMILLION
 from homeward.runs.report.place_words import date, info_lines
 
@@ -77,8 +77,7 @@ def _landmark_rows(place: Place) -> list[list[object]]:
 def _draw_map(place: Place) -> Figure:
     """Draw the landmarks as estimated at the last visit, and their moves."""
     stays = place.stays(place.visits[-1].when)
-    with style():
-        figure = new_figure(5.2)
+    with styled_figure(5.2) as figure:
         axes = figure.add_subplot()
         before: dict[str, tuple[float, float]] = {}
         for event in place.events:
@@ -125,8 +124,7 @@ def _draw_map(place: Place) -> Figure:
 def _draw_visits(place: Place) -> Figure:
     """Draw the number of landmarks that stayed, moved, were gone and were new at each visit."""
     kinds = (("stayed", BLUE), ("moved", ORANGE), ("new", MUTED), ("gone", VERMILLION))
-    with style():
-        figure = new_figure(2.2)
+    with styled_figure(2.2) as figure:
         axes = figure.add_subplot()
         number = np.array([v.number for v in place.visits])
         bottom = np.zeros(len(number))

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from homeward.io.naming import number, share
 from homeward.io.writing import whole_folder
 from homeward.runs.report import html
-from homeward.runs.report.canvas import drawn, legend_below, new_figure, plain, style, uncrowd
+from homeward.runs.report.canvas import drawn, legend_below, plain, styled_figure, uncrowd
 from homeward.runs.report.files import write_tables
 from homeward.runs.report.folder import write_run
 from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED
@@ -125,8 +125,7 @@ def draw_paths(outcomes: Sequence[Outcome]) -> Figure:
     """Draw the estimated paths and ground truth; diverged paths are cut off."""
     truth = outcomes[0].drive.truth
     tracks = [o.track for o in outcomes if o.track is not None]
-    with style("paths"):
-        figure = new_figure(5.4)
+    with styled_figure(5.4, "paths") as figure:
         axes = figure.add_subplot()
         if truth is not None:
             axes.plot(truth.x, truth.y, color=MUTED, lw=2.4)
@@ -142,8 +141,7 @@ def draw_paths(outcomes: Sequence[Outcome]) -> Figure:
 
 def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
     """Draw the position error over time; without ground truth, its standard deviation."""
-    with style("errors"):
-        figure = new_figure(3.2)
+    with styled_figure(3.2, "errors") as figure:
         axes = figure.add_subplot()
         for j, outcome in enumerate(outcomes):
             track, truth = outcome.track, outcome.drive.truth

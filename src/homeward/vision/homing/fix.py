@@ -99,16 +99,6 @@ COMMON_SIGMA = 0.05
 
 
 @dataclass(frozen=True)
-class Vote:
-    """The motion of one refused comparison."""
-
-    angles: np.ndarray
-    """(2,): direction from home, and heading minus that of odometry [rad]."""
-    matched: np.ndarray
-    """(k, 2): azimuth and elevation at home of its inliers [rad]."""
-
-
-@dataclass(frozen=True)
 class Consensus:
     """A motion on which several votes agree."""
 
@@ -127,7 +117,9 @@ class DirectionVoting:
         self._odometry = odometry
         self._voted_at = -math.inf
         """Path at the last vote [m]."""
-        self._votes: deque[Vote] = deque(maxlen=MAX_VOTES)
+        self._votes: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MAX_VOTES)
+        """Direction from home, and heading minus that of odometry, (2,) [rad]; azimuth and
+        elevation at home of the inliers, (k, 2) [rad]."""
         self._consensus: Consensus | None = None
         """Its heading is relative to that of odometry."""
 
@@ -140,7 +132,7 @@ class DirectionVoting:
             return
         self._voted_at = path
         angles = np.array([motion.theta, motion.alpha - self._odometry.heading(t)])
-        self._votes.append(Vote(angles, seen.pairs.home[agrees]))
+        self._votes.append((angles, seen.pairs.home[agrees]))
         self._consensus = self._agreed(t) or self._consensus
 
     def clear(self) -> None:
@@ -160,12 +152,12 @@ class DirectionVoting:
 
     def _agreed(self, t: float) -> Consensus | None:
         """Return the mean of votes like the newest; None if they are too few or too narrow."""
-        angles = np.array([vote.angles for vote in self._votes])
+        angles = np.array([each for each, _ in self._votes])
         off = wrap(angles - angles[-1])
         alike = np.flatnonzero((np.abs(off) < ALIKE).all(axis=1))
         if alike.size < MIN_ALIKE:
             return None
-        azimuth, elevation = np.vstack([self._votes[i].matched for i in alike]).T
+        azimuth, elevation = np.vstack([self._votes[i][1] for i in alike]).T
         if too_narrow(azimuth, elevation=elevation):
             return None
         theta, alpha = wrap(angles[-1] + off[alike].mean(axis=0)).tolist()

@@ -103,4 +103,4 @@ def test_the_choice_passes_other_errors_on():
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        choose("native", 0.0, broken, broken, "")
+        choose("native", 0.0, broken, "")

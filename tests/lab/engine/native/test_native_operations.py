@@ -61,10 +61,10 @@ def test_every_operation_in_lanes_is_the_interpreters(width, monkeypatch):
     monkeypatch.setenv("CC", " ".join([COMPILER.command[0], *WIDTHS[width]]))
     f, rows = every_operation()
     program, count = Program({OBSERVE: f}), len(rows)
-    start = [
-        given_values(k, np.array([r[i] for r in rows]), (9,), count) for i, k in enumerate("xy")
-    ]
-    job = Job(program, count, 0, tuple(start), series=(), final=("z",), history=(), guarded=())
+    start = {
+        k: given_values(k, np.array([r[i] for r in rows]), (9,), count) for i, k in enumerate("xy")
+    }
+    job = Job(program, count, 0, start, series={}, final=("z",), history=(), guarded=())
     z = execute(job, "native", 1).final["z"]
     assert np.allclose(z, [r[2] for r in rows], rtol=1e-14, atol=1e-15, equal_nan=True)
     lanes = library.load(source_of(program, False).text).lanes

@@ -16,13 +16,13 @@ import ctypes
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from homeward.lab.engine.batch.job import (
     MAX_BELIEF,
-    Given,
     Job,
     Result,
     empty_result,
@@ -33,7 +33,7 @@ from homeward.lab.engine.native.source import Source, choose, source_of
 from homeward.lab.engine.program import OBSERVE, Machine, filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
-from homeward.native.library import load
+from homeward.native.library import Library
 
 _Long = ctypes.c_int64
 _Pointer = ctypes.c_void_p
@@ -57,12 +57,11 @@ def source(job: Job) -> Source:
     return source_of(job.program, job.runs == 1, tuple(job.extra.items()))
 
 
-def _compiled(job: Job, result: Result, code: Source, threads: int) -> tuple[str, ...]:
-    """Run a job, and return notes on its compilation; `NativeError` when that fails."""
-    library = load(code.text)
+def _compiled(job: Job, result: Result, library: Library, threads: int) -> None:
+    """Run a job by the compiled code of its source."""
     batch = library.functions.homeward_batch
     batch.argtypes, batch.restype = (ctypes.c_void_p, _Long, _Long), ctypes.c_int32
-    description, alive = _described(job, result, code.places)
+    description, alive = _described(job, result, source(job).places)
     blocks = -(-job.runs // library.lanes)
     chunk = max(1, -(-blocks // (threads * CHUNKS_PER_THREAD))) * library.lanes
     spans = [(k, min(k + chunk, job.runs)) for k in range(0, job.runs, chunk)]
@@ -78,7 +77,6 @@ def _compiled(job: Job, result: Result, code: Source, threads: int) -> tuple[str
     del alive
     if any(codes):
         raise MemoryError("not enough memory for the lanes of a batch")
-    return library.notes
 
 
 def _described(
@@ -86,8 +84,8 @@ def _described(
 ) -> tuple[_Job, list[np.ndarray]]:
     """Return a job as the structure of the C loop, and the arrays to which it points."""
     tables: dict[str, list[tuple[int, ...]]] = {
-        "start": [_given(g, places) for g in job.start],
-        "series": [_given(g, places) for g in job.series],
+        "start": [_given(places[k], v) for k, v in job.start.items()],
+        "series": [_given(places[k], v) for k, v in job.series.items()],
         "draws": [
             (places[d.name], job.size(d.name), places[d.scale], int(d.normal), d.stream)
             for d in job.draws
@@ -117,12 +115,11 @@ def _described(
     return description, alive
 
 
-def _given(given: Given, places: Mapping[str, int]) -> tuple[int, ...]:
+def _given(place: int, values: np.ndarray) -> tuple[int, ...]:
     """Return place, size, address, and strides by run and by step."""
-    runs, steps, size = given.values.shape
+    runs, steps, size = values.shape
     by_run = steps * size if runs > 1 else 0
-    place = places[given.name]
-    return place, size, given.values.ctypes.data, by_run, size if steps > 1 else 0
+    return place, size, values.ctypes.data, by_run, size if steps > 1 else 0
 
 
 def _outputs(arrays: Mapping[str, np.ndarray], places: Mapping[str, int]) -> list[tuple[int, ...]]:
@@ -177,8 +174,8 @@ class _Batch:
         job = self._job
         for array in self._now.values():
             array[:] = 0.0
-        for given in job.start:
-            self._now[given.name][:] = given.values[run % len(given.values), 0]
+        for name, values in job.start.items():
+            self._now[name][:] = values[run % len(values), 0]
         for k in range(job.steps + 1):
             self._machine.do(OBSERVE)
             if self._ended(run, k, result) or k == job.steps:
@@ -205,8 +202,8 @@ class _Batch:
     def _take(self, run: int, k: int) -> None:
         """Set the variables that change with the step."""
         job, now = self._job, self._now
-        for given in job.series:
-            now[given.name][:] = given.values[run % len(given.values), k]
+        for name, values in job.series.items():
+            now[name][:] = values[run % len(values), k]
         for draw in job.draws:
             where = (job.seed, job.first_run + run, k, draw.stream, job.size(draw.name))
             scale = now[draw.scale]
@@ -231,20 +228,14 @@ def execute(job: Job, engine: Engine = "auto", threads: int | None = None) -> Re
 
     By default it uses all available threads.
     """
-
-    def native() -> Result:
-        result, count = empty_result(job), threads or available_threads()
-        result.notes = _compiled(job, result, source(job), count)
-        result.engine = "native"
-        return result
-
     saved = SAVED_S * job.runs * job.steps
-    made, notes = choose(engine, saved, lambda: source(job), native, SLOWER)
-    if made is not None:
-        return shaped(job, made)
+    library, notes = choose(engine, saved, partial(source, job), SLOWER)
     result = empty_result(job)
-    _interpreted(job, result)
-    result.engine, result.notes = "interpreter", notes
+    result.engine, result.notes = "interpreter" if library is None else "native", notes
+    if library is None:
+        _interpreted(job, result)
+    else:
+        _compiled(job, result, library, threads or available_threads())
     return shaped(job, result)
 
 

@@ -30,14 +30,6 @@ class Draw:
 
 
 @dataclass(frozen=True)
-class Given:
-    """Values of a variable: (runs or 1, steps or 1, entries), column-major."""
-
-    name: str
-    values: np.ndarray
-
-
-@dataclass(frozen=True)
 class Job:
     """Runs of a program that differ in their given values and their noise."""
 
@@ -45,8 +37,10 @@ class Job:
     runs: int
     steps: int
     """Largest number of advances of a run, which has one more sample."""
-    start: tuple[Given, ...]
-    series: tuple[Given, ...]
+    start: Mapping[str, np.ndarray]
+    """Values at the start, (runs or 1, 1, entries), column-major."""
+    series: Mapping[str, np.ndarray]
+    """Values at each step, (runs or 1, steps or 1, entries), column-major."""
     final: tuple[str, ...]
     history: tuple[str, ...]
     extra: Mapping[str, int] = field(default_factory=dict)
@@ -137,15 +131,15 @@ def job_of(
     for name in (*given, *series, *final, *history):
         if name not in shapes:
             raise ValueError(f"{name}: there is no such variable")
-    start = tuple(given_values(k, v, shapes[k], runs) for k, v in given.items())
-    each = tuple(given_values(k, v, shapes[k], runs, steps) for k, v in series.items())
+    start = {k: given_values(k, v, shapes[k], runs) for k, v in given.items()}
+    each = {k: given_values(k, v, shapes[k], runs, steps) for k, v in series.items()}
     kept = tuple(final), tuple(history)
     return Job(program, runs, steps, start, each, *kept, extra=extra, **other)
 
 
 def given_values(
     name: str, value: ArrayLike, shape: tuple[int, ...], runs: int, steps: int | None = None
-) -> Given:
+) -> np.ndarray:
     """Return a variable's values at the start, or at every step where `steps` is given.
 
     `value` broadcasts to ([runs,] [steps,] *shape), without the last axis for a number of `shape`
@@ -161,7 +155,7 @@ def given_values(
     else:
         array = _broadcast(name, array, (runs, *each, *inner))
     values = _flat(array, 1 + len(each), len(inner))
-    return Given(name, values if each else values[:, None])
+    return values if each else values[:, None]
 
 
 def _broadcast(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

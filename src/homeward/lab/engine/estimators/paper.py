@@ -17,13 +17,13 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.robot import Home, known_home, known_robot, known_settings
-from homeward.drives.settings import DriveSettings, Robot, Start
+from homeward.drives.settings import DriveSettings, Robot
 from homeward.errors import InputError, needs_start_prior
 from homeward.geometry.angles import wrap
 from homeward.lab.engine.estimators.adaptive import AdaptiveRunner
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.lab.engine.estimators.runner import FilterRunner, Tuning
-from homeward.lab.filters.backend import CartesianPrior, FilterBackend, SensorNoise
+from homeward.lab.filters.backend import FilterBackend, Setup
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,
@@ -67,39 +67,26 @@ class FilterConfig(Generic[Settings]):
     """Number of samples to come, 0 where unknown; many samples pay for compiling."""
 
     @property
-    def start(self) -> Start:
-        """The start prior; `InputError` where there is none, or home is empty."""
+    def setup(self) -> Setup:
+        """What every filter is given; `InputError` where home is empty or has no start prior."""
+        own, known, start = self.settings, self.known, self.known.start
         if not self.home:
             raise InputError(f"home saw no landmark: {self.name} needs home bearings")
-        if self.known.start is None:
+        if start is None:
             raise needs_start_prior(self.name)
-        return self.known.start
-
-    @property
-    def start_sigmas(self) -> np.ndarray:
-        """Standard deviations of its R [m], theta, alpha [rad]: (3,)."""
-        start = self.start
-        return np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
-
-    @property
-    def stored(self) -> np.ndarray:
-        """beta* in the robot's home frame [rad], (q,)."""
-        yaw = self.known.home_mount.yaw
-        return np.array([float(wrap(b.bearing + yaw)) for b in self.home.values()])
-
-    @property
-    def bearing_sigma(self) -> float:
-        """Standard deviation of a bearing without its own [rad]."""
-        known = self.known.sensor.bearing_sigma
-        return first_given(self.settings.bearing_sigma, known, DEFAULT_BEARING_SIGMA)
-
-    @property
-    def input_density(self) -> np.ndarray:
-        """Variance densities of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz], (2,)."""
-        own, known = self.settings, self.known.odometry
-        speed = first_given(own.speed_sigma, known.speed_sigma, DEFAULT_SPEED_SIGMA)
-        turn = first_given(own.turn_sigma, known.turn_sigma, DEFAULT_TURN_SIGMA)
-        return np.square([speed, turn])
+        bearing = own.bearing_sigma, known.sensor.bearing_sigma, DEFAULT_BEARING_SIGMA
+        speed = own.speed_sigma, known.odometry.speed_sigma, DEFAULT_SPEED_SIGMA
+        turn = own.turn_sigma, known.odometry.turn_sigma, DEFAULT_TURN_SIGMA
+        yaw = known.home_mount.yaw
+        return Setup(
+            polar=start.polar,
+            sigmas=np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha]),
+            stored=np.array([float(wrap(b.bearing + yaw)) for b in self.home.values()]),
+            bearing_sigma=first_given(*bearing),
+            input_density=np.square([first_given(*speed), first_given(*turn)]),
+            gate=own.gate_threshold,
+            minimum_visible=own.minimum_visible,
+        )
 
     def indices(self, key: str, chosen: Literal["all"] | tuple[str, ...]) -> tuple[int, ...]:
         """Return the indices of the landmarks that a setting names.
@@ -137,20 +124,15 @@ class FilterConfig(Generic[Settings]):
         proportional: np.ndarray | None = None,
         integral_gain: np.ndarray | None = None,
     ) -> Tuning:
-        """Return the tuning of a filter in the paper's state; errors as of `start`."""
+        """Return the tuning of a filter in the paper's state; errors as of `setup`."""
         q, parameters = kind.model.q, np.ones(len(kind.model.estimated))
-        walk, nothing = BEARING_WALK**2, np.zeros((0, 0))
-        before = [np.square(self.start_sigmas), np.ones(q), parameter_variance * parameters]
+        setup, walk, nothing = self.setup, BEARING_WALK**2, np.zeros((0, 0))
+        before = [np.square(setup.sigmas), np.ones(q), parameter_variance * parameters]
         density = [np.zeros(POLAR), np.full(q, walk), parameter_density * parameters]
         return Tuning(
-            polar=self.start.polar,
+            **vars(setup),
             variance=np.concatenate(before),
-            stored=self.stored,
-            bearing_sigma=self.bearing_sigma,
-            input_density=self.input_density,
             state_density=np.concatenate(density),
-            gate=self.settings.gate_threshold,
-            minimum_visible=self.settings.minimum_visible,
             proportional=nothing if proportional is None else proportional,
             integral_gain=nothing if integral_gain is None else integral_gain,
         )
@@ -299,27 +281,23 @@ def _unscented(config: FilterConfig[FilterSettings]) -> OnlineFilter:
 
 
 def _invariant(config: FilterConfig[CartesianSettings]) -> OnlineFilter:
-    return config.online(
-        InvariantFilter(*_prior_and_noise(config), config.settings.minimum_visible)
-    )
+    return config.online(InvariantFilter(*_cartesian(config)))
 
 
 def _particle(config: FilterConfig[ParticleSettings]) -> OnlineFilter:
     own = config.settings
     sampling = own.particles, own.outliers, own.seed
-    prior, noise = _prior_and_noise(config)
-    return config.online(ParticleFilter(prior, noise, *sampling, own.minimum_visible))
+    return config.online(ParticleFilter(*_cartesian(config), *sampling))
 
 
-def _prior_and_noise(
+def _cartesian(
     config: FilterConfig[CartesianSettings],
-) -> tuple[CartesianPrior, SensorNoise]:
-    own, expected = config.settings, 1 / (2 * config.settings.nearest)
+) -> tuple[Setup, np.ndarray, tuple[float, float]]:
+    """Return the arguments of a `CartesianFilter`."""
+    setup, own, expected = config.setup, config.settings, 1 / (2 * config.settings.nearest)
     sigmas = np.array([b.sigma for b in config.home.values()])
-    sigmas = np.where(sigmas > 0, sigmas, first_given(own.home_sigma, config.bearing_sigma))
-    landmarks = config.stored, sigmas, expected, expected
-    prior = CartesianPrior(config.start.polar, config.start_sigmas, *landmarks)
-    return prior, SensorNoise(config.input_density, config.bearing_sigma, own.gate_threshold)
+    usual = first_given(own.home_sigma, setup.bearing_sigma)
+    return setup, np.where(sigmas > 0, sigmas, usual), (expected, expected)
 
 
 MAKERS: dict[str, Callable[[FilterConfig[Any]], OnlineFilter]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
@@ -12,9 +12,16 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, from_polar, polar_covariance_to_pose
 from homeward.lab.engine.batch.job import MAX_BELIEF
-from homeward.lab.engine.native.source import NativeProgram, Source, choose, source_of
+from homeward.lab.engine.native.source import NativeProgram, choose, source_of
 from homeward.lab.engine.program import BELIEF, Machine, filter_program
-from homeward.lab.filters.backend import LOST_SIGMA, Angles, LandmarkBelief, MaybeTwist, Outputs
+from homeward.lab.filters.backend import (
+    LOST_SIGMA,
+    Angles,
+    LandmarkBelief,
+    MaybeTwist,
+    Outputs,
+    Setup,
+)
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, PolarModel, landmark_distance
@@ -32,15 +39,10 @@ def filter_machine(
     kind: ExtendedKalmanFilter, engine: Engine = "auto", steps: int = 0
 ) -> Machine | NativeProgram:
     """Return a filter's steps, ready to run; `steps` is the number to come, 0 where unknown."""
-
-    def native() -> NativeProgram:
-        return NativeProgram(filter_program(kind))
-
-    def source() -> Source:
-        return source_of(filter_program(kind), single=True)
-
-    program, notes = choose(engine, SAVED_S * steps, source, native, SLOWER)
-    return program or Machine(filter_program(kind), notes=notes)
+    program = filter_program(kind)
+    source = partial(source_of, program, single=True)
+    library, notes = choose(engine, SAVED_S * steps, source, SLOWER)
+    return Machine(program, notes=notes) if library is None else NativeProgram(program)
 
 
 class Numbers:
@@ -59,25 +61,13 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Tuning:
-    """Prior and noise of a filter, in its order of states (n) and landmarks (q)."""
+class Tuning(Setup):
+    """Setup of a filter in the paper's state, with n states."""
 
-    polar: Polar
-    """Start prior: R [m], theta, alpha [rad]."""
     variance: np.ndarray
     """(n,), variances of the start prior: R, theta, alpha, bearings (any), parameters."""
-    stored: np.ndarray
-    """(q,), beta* in the robot's home frame [rad]."""
-    bearing_sigma: float
-    """Standard deviation of a bearing without its own [rad]."""
-    input_density: np.ndarray
-    """(2,), variance density of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz]."""
     state_density: np.ndarray
     """(n,), variance per second added to the states."""
-    gate: float
-    """Largest accepted innovation^2 / variance."""
-    minimum_visible: int
-    """A stamp with fewer landmarks in view is not used."""
     proportional: np.ndarray
     """Pi per second, (n, n); empty unless the filter has an integral."""
     integral_gain: np.ndarray

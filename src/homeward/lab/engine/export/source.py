@@ -78,7 +78,7 @@ def _in_floats(text: str) -> str:
 
 def _step_values(kind: ExtendedKalmanFilter, settings: FilterSettings) -> dict[str, object]:
     functions = steps(kind, 0)
-    noise = _config(kind.model.q, settings)
+    noise = _config(kind.model.q, settings).setup
     speed_variance, turn_variance = noise.input_density.tolist()
     values: dict[str, object] = {
         "work": max(f.sz_w() for f in functions.values()),

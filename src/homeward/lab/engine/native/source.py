@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -81,27 +81,22 @@ class NativeProgram:
 COMPILING_S = 25e-6
 """Compile time per character of C [s]."""
 
-T = TypeVar("T")
-
 
 def choose(
-    engine: Engine,
-    saved: float,
-    source: Callable[[], Source],
-    native: Callable[[], T],
-    slower: str,
-) -> tuple[T | None, tuple[str, ...]]:
-    """Return the result of `native`, or None for the interpreter; and notes for the user.
+    engine: Engine, saved: float, source: Callable[[], Source], slower: str
+) -> tuple[Library | None, tuple[str, ...]]:
+    """Return the compiled code of a source, or None for the interpreter; and notes for the user.
 
     A note gives the reason why compiled code is not available, with `slower` as the consequence.
-    `saved` is the time that compiled code saves in this run [s]; `source` writes the C.
+    `saved` is the time that compiled code saves in this run [s].
     """
     if engine == "interpreter":
         return None, ()
     try:
         if engine == "auto" and not _pays(saved, source):
             return None, ()
-        return native(), ()
+        library = load(source().text)
+        return library, library.notes
     except NativeError as error:
         if engine == "auto" and not _is_long(saved):
             return None, ()

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
@@ -50,9 +49,9 @@ from homeward.runs.report import html
 from homeward.runs.report.canvas import (
     drawn,
     legend_below,
-    new_figure,
+    log_axis,
     quantile_bar,
-    style,
+    styled_figure,
     uncrowd,
 )
 from homeward.runs.report.palette import GREEN, INK, MUTED, SKY
@@ -78,8 +77,7 @@ def errors_of(study: LayoutStudy, case: CaseName, name: str, start: Start) -> np
 
 def draw_distributions(study: LayoutStudy) -> Figure:
     """Draw the distribution of every RMSE from each start, with the printed values."""
-    with style():
-        figure = new_figure(9.0)
+    with styled_figure(9.0) as figure:
         panels = figure.subplots(len(STUDIED), 3, sharey=True, sharex="col")
         for row, case in zip(panels, STUDIED, strict=True):
             for k, axes in enumerate(row):
@@ -93,7 +91,7 @@ def draw_distributions(study: LayoutStudy) -> Figure:
                     printed = printed_of(case, name)
                     if printed is not None:
                         axes.plot(printed[k], place, "x", ms=7, mew=1.6, color=GREEN, zorder=5)
-                _log_axis(axes)
+                log_axis(axes, LogLocator(numticks=8))
                 axes.grid(False, axis="y")
             row[0].set_yticks(range(len(ROWS)), ROWS)
             row[0].set_ylim(len(ROWS) - 0.2, -0.6)
@@ -101,17 +99,11 @@ def draw_distributions(study: LayoutStudy) -> Figure:
         for axes, quantity in zip(panels[-1], QUANTITIES, strict=True):
             axes.set_xlabel(f"RMSE of {quantity}")
         last = start_words(study.reading("2", initial_error=study.starts[-1]))
+        exact = "exact start: median, middle half"
+        dot: dict[str, Any] = {"color": MUTED, "marker": "o", "ms": 5}
         entries = [
-            Line2D(
-                [],
-                [],
-                color=MUTED,
-                marker="o",
-                ms=5,
-                lw=4,
-                label="exact start: median, middle half",
-            ),
-            Line2D([], [], color=MUTED, marker="o", ms=5, mfc="white", lw=1.2, label=last),
+            Line2D([], [], lw=4, label=exact, **dot),
+            Line2D([], [], mfc="white", lw=1.2, label=last, **dot),
             Line2D([], [], color=GREEN, marker="x", ms=7, mew=1.6, ls="none", label="printed"),
         ]
         legend_below(figure, entries)
@@ -119,23 +111,15 @@ def draw_distributions(study: LayoutStudy) -> Figure:
     return figure
 
 
-def _log_axis(axes: Axes) -> None:
-    axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(numticks=8))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
-
-
 def draw_grid(study: LayoutStudy) -> Figure:
     """Draw the share of layouts with smaller errors than the EKF, under all readings.
 
     A cell has the smallest of the three shares of R, theta and alpha.
     """
-    with style():
-        values = product(*(study.settings.axis(k) for k in ACROSS))
-        rows = [dict(zip(ACROSS, row, strict=True)) for row in values]
-        columns = _columns(study)
-        figure = new_figure(1.4 + 0.2 * len(rows) * len(RIVALS))
+    values = product(*(study.settings.axis(k) for k in ACROSS))
+    rows = [dict(zip(ACROSS, row, strict=True)) for row in values]
+    columns = _columns(study)
+    with styled_figure(1.4 + 0.2 * len(rows) * len(RIVALS)) as figure:
         panels = figure.subplots(len(RIVALS), 1, sharex=True)
         for axes, name in zip(panels, RIVALS, strict=True):
             outcomes = ([study.grid[c, r._replace(**row)] for c, r in columns] for row in rows)

@@ -31,7 +31,7 @@ from homeward.lab.studies.paper.reproduction import (
 from homeward.lab.studies.paper.settings import PaperSettings
 from homeward.lab.studies.paper.world import CaseName, PaperWorld, fault_count
 from homeward.runs.report import html
-from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, new_figure, style
+from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, style, styled_figure
 from homeward.runs.report.files import write_settings, write_tables
 from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
 from homeward.runs.report.words import count, listing
@@ -45,8 +45,7 @@ TEXTS = html.texts("homeward.lab.report")
 def draw_geometry(*_: object) -> Figure:
     """Draw home, robot and one landmark, with the angles and distances of the model."""
     robot, mark, heading = np.array([2.2, 1.0]), np.array([1.3, 3.0]), 0.35
-    with style():
-        figure = new_figure(4.6)
+    with styled_figure(4.6) as figure:
         axes = figure.add_subplot(aspect="equal")
         axes.set_axis_off()
         for tip in ((3.6, 0.0), (0.0, 3.4)):
@@ -110,8 +109,7 @@ def draw_errors(result: Reproduction, case: CaseName, *names: str) -> Figure:
 
 def _draw_panels(lines: list[tuple[np.ndarray, np.ndarray, str, str, float]]) -> Figure:
     """Draw lines over time: t [s], R, theta and alpha (k, 3), label, colour and width."""
-    with style():
-        figure = new_figure(5.4)
+    with styled_figure(5.4) as figure:
         panels = figure.subplots(3, 1, sharex=True)
         for k, (axes, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
             for t, values, label, colour, width in lines:
@@ -125,8 +123,7 @@ def _draw_panels(lines: list[tuple[np.ndarray, np.ndarray, str, str, float]]) ->
 def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
     """Draw the true path home and the path estimated by one filter."""
     run, world = result.shown[case].runs[name], result.shown[case].world
-    with style():
-        figure = new_figure(5.6)
+    with styled_figure(5.6) as figure:
         axes = figure.add_subplot(aspect="equal")
         _draw_landmarks(axes, world)
         axes.plot(*run.pose[:, :2].T, color=INK, lw=1.0, label="ground truth")
@@ -164,8 +161,7 @@ def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
     n = run.state.shape[1] - len(run.estimated)
     wrong = [k for k, i in enumerate(run.estimated) if world.faults[i]]
     wrong = wrong or list(range(len(run.estimated)))
-    with style():
-        figure = new_figure(1.4 + 1.5 * len(wrong))
+    with styled_figure(1.4 + 1.5 * len(wrong)) as figure:
         panels = figure.subplots(len(wrong), 1, sharex=True, squeeze=False)[:, 0]
         for axes, k in zip(panels, wrong, strict=True):
             i = run.estimated[k]
@@ -201,8 +197,7 @@ def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
     assert world.sight is not None
     image, home = world.sight.home_image, world.sight.home
     height, width = image.shape
-    with style():
-        figure = new_figure(0.4 + WIDTH_IN * height / width)
+    with styled_figure(0.4 + WIDTH_IN * height / width) as figure:
         axes = figure.add_subplot()
         axes.imshow(image, cmap="gray", vmin=0, vmax=255, aspect="auto", gid="photograph")
         axes.plot(home.column, home.row, ".", ms=2, color=SKY, label="features")

@@ -16,7 +16,7 @@ from homeward.io.naming import number
 from homeward.lab.studies.study.plan import Contender
 from homeward.lab.studies.study.results import Results
 from homeward.lab.studies.study.statistics import quantiles
-from homeward.runs.report.canvas import new_figure, style, uncrowd
+from homeward.runs.report.canvas import styled_figure, uncrowd
 from homeward.runs.report.palette import BLUE, INK, VERMILLION
 
 GOOD_TO_BAD = LinearSegmentedColormap.from_list("good", (BLUE, "#ffffff", VERMILLION))
@@ -81,9 +81,8 @@ def draw_maps(results: Results, grid: SettingsGrid) -> Figure:
     members = [results.plan.contenders[j] for j in grid.contenders]
     across, up = (_values(members, key) for key in grid.axes[:2])
     pages = _values(members, grid.axes[2]) if len(grid.axes) == 3 else [None]
-    with style():
-        size = min(8.0, 100 / (len(across) * len(pages)))
-        figure = new_figure(0.5 + (0.65 + 0.27 * len(up)) * len(shown))
+    size = min(8.0, 100 / (len(across) * len(pages)))
+    with styled_figure(0.5 + (0.65 + 0.27 * len(up)) * len(shown)) as figure:
         panels = figure.subplots(len(shown), len(pages), squeeze=False, sharex=True, sharey=True)
         for row, (quantity, words) in zip(panels, shown.items(), strict=True):
             reference = _reference(results, quantity)

@@ -15,7 +15,7 @@ import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 from matplotlib.transforms import blended_transform_factory
 
 from homeward.io.writing import whole_folder
@@ -24,7 +24,6 @@ from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.study.results import Results, write_netcdf
 from homeward.lab.studies.study.summary import (
     Line,
-    Summary,
     exact_table,
     failures,
     lines,
@@ -36,10 +35,10 @@ from homeward.runs.report import html
 from homeward.runs.report.canvas import (
     drawn,
     legend_below,
-    new_figure,
+    log_axis,
     plain,
     quantile_bar,
-    style,
+    styled_figure,
     uncrowd,
 )
 from homeward.runs.report.files import write_tables
@@ -131,15 +130,14 @@ def draw_overview(results: Results) -> Figure:
         for j, c in enumerate(results.plan.contenders)
     }
     places = _places(rows)
-    with style():
-        found = below(results)
-        beneath = [bool(found[f"{line.estimator} in {line.scenario}"]) for line in rows]
-        names = [
-            _wrapped(f"{line.estimator} {MARK if b else ''}")
-            for line, b in zip(rows, beneath, strict=True)
-        ]
-        height = 0.06 + 0.155 * max(name.count("\n") + 1 for name in names)
-        figure = new_figure(1.1 + height * (places[-1] + 1))
+    found = below(results)
+    beneath = [bool(found[f"{line.estimator} in {line.scenario}"]) for line in rows]
+    names = [
+        _wrapped(f"{line.estimator} {MARK if b else ''}")
+        for line, b in zip(rows, beneath, strict=True)
+    ]
+    height = 0.06 + 0.155 * max(name.count("\n") + 1 for name in names)
+    with styled_figure(1.1 + height * (places[-1] + 1)) as figure:
         panels = figure.subplots(
             1, 3 if closed else 2, sharey=True, width_ratios=[5, 2, 3] if closed else [5, 3]
         )
@@ -156,9 +154,7 @@ def draw_overview(results: Results) -> Figure:
                 panels[1].plot(100 * line.home, place, "o", ms=4.5, mew=0, color=colour)
         for axes, words in ((panels[0], "position RMSE of a run [m]"), (panels[-1], "mean NEES")):
             axes.set(xscale="log", xlabel=words)
-            axes.xaxis.set_minor_formatter(NullFormatter())
-            axes.xaxis.set_major_locator(_ticks(axes))
-            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            log_axis(axes, _ticks(axes))
         panels[-1].axvline(CONSISTENT, color=INK, lw=0.9, zorder=0)
         if closed:
             panels[1].set(xlim=(-4, 104), xlabel="reached home [%]")
@@ -245,8 +241,7 @@ def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[L
     cases = results.plan.cases[:MAX_PANELS]
     columns = min(len(cases), 2)
     rows = -(-len(cases) // columns)
-    with style():
-        figure = new_figure(0.9 + 2.3 * rows)
+    with styled_figure(0.9 + 2.3 * rows) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for i, case in enumerate(cases):
             axes = panels.flat[i]
@@ -283,9 +278,9 @@ def write_study(directory: Path, results: Results) -> list[list[str]]:
         ]
         write_netcdf(results, scratch / DATA)
         found = summary(results)
-        rows = table(found)
+        rows = table(results.plan, found)
         write_tables(scratch, rows, exact_table(found), left=2)
-        (scratch / PAGE).write_text(_page(results, found, rows, pictures), encoding="utf-8")
+        (scratch / PAGE).write_text(_page(results, rows, pictures), encoding="utf-8")
     return rows
 
 
@@ -303,12 +298,7 @@ def headline(results: Results) -> str:
     )
 
 
-def _page(
-    results: Results,
-    found: Summary,
-    rows: list[list[str]],
-    pictures: Sequence[tuple[str, str, str]],
-) -> str:
+def _page(results: Results, rows: list[list[str]], pictures: Sequence[tuple[str, str, str]]) -> str:
     plan = results.plan
     names = [name for name, _, _ in pictures]
     cut = []
@@ -316,7 +306,8 @@ def _page(
         cut.append(f"figures over time have the first {MAX_PANELS} scenarios")
     if OVERVIEW in names and len(plan.cases) * len(plan.contenders) > MAX_ROWS:
         cut.append(f"the overview has the first {MAX_ROWS} rows of the table")
-    home = TEXTS["home"].format(plan.study.home_radius) if found.closed else ""
+    home = TEXTS["home"].format(plan.study.home_radius) if plan.study.loop == "closed" else ""
+    columns = TEXTS["columns"].format(first=plan.contenders[0].label)
     reasons = [f"{number}: {reason}" for reason, number in failures(results).items()]
     settings = plan.study.model_dump(mode="json", exclude_none=True)
     return html.page(
@@ -329,7 +320,7 @@ def _page(
         html.section(
             "Results by scenario and estimator",
             html.table("ss" + "r" * (len(rows[0]) - 2), rows),
-            html.note(TEXTS["columns"].format(first=found.first), home, TEXTS["rates"]),
+            html.note(columns, home, TEXTS["rates"]),
         ),
         html.section(
             "Failed runs", html.bullets(reasons), html.note(TEXTS["failed"] if reasons else "")

@@ -26,13 +26,7 @@ from homeward.lab.simulation.course import Driven, Log, before, drive_course
 from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace, viewpoint
 from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.lab.simulation.render.scene import RoomScene, build_scene
-from homeward.lab.simulation.render.shading.picture import (
-    NOTHING,
-    PixelTruth,
-    picture,
-    pixel_truth,
-    png,
-)
+from homeward.lab.simulation.render.shading.picture import NOTHING, picture, pixel_things, png
 from homeward.lab.simulation.simulate import SCENARIO, scenario_yaml
 from homeward.lab.simulation.world import Stream
 from homeward.vision.cameras.panoramic import Panorama, PartialPanorama
@@ -70,9 +64,9 @@ class Eye:
         """Return the home image, (height, width, 3), blue green red."""
         return picture(self.then, self.home_view, self.scenario.camera, self._chance(0))
 
-    def home_truth(self) -> PixelTruth:
-        """Return the ground truth of each pixel of the home image."""
-        return pixel_truth(self.then, self.home_view, self.scenario.camera)
+    def home_things(self) -> np.ndarray:
+        """Return the object of each pixel of the home image, as `pixel_things`."""
+        return pixel_things(self.then, self.home_view, self.scenario.camera)
 
     def view(self, robot: Pose, number: int) -> Viewpoint:
         """Return the viewpoint of image `number` (from 1) for a robot pose in the home frame."""
@@ -92,9 +86,9 @@ class Eye:
         view = self.view(robot, number)
         return picture(self.now, view, self.scenario.camera, self._chance(number))
 
-    def truth(self, robot: Pose, number: int) -> PixelTruth:
-        """Return the ground truth of each pixel of an image."""
-        return pixel_truth(self.now, self.view(robot, number), self.scenario.camera)
+    def things(self, robot: Pose, number: int) -> np.ndarray:
+        """Return the object of each pixel of an image, as `pixel_things`."""
+        return pixel_things(self.now, self.view(robot, number), self.scenario.camera)
 
     def _view(self, camera: Pose, number: int) -> Viewpoint:
         settings = self.scenario.camera
@@ -192,7 +186,7 @@ def panorama_of(eye: Eye) -> Panorama:
 
 def moved_boxes(eye: Eye) -> dict[str, bool]:
     """Return the boxes moved since home was stored; True where the home image shows one."""
-    seen = np.unique(eye.home_truth().thing)
+    seen = np.unique(eye.home_things())
     shown = {eye.then.things[i] for i in seen[seen != NOTHING].tolist()}
     boxes = eye.scenario.boxes.items()
     return {name: name in shown for name, box in boxes if box.stood is not None}

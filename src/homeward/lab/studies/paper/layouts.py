@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -150,18 +150,6 @@ class LayoutSettings(Strict):
         return changed(self.paper, {"assumed": reading._asdict()})
 
 
-class Block(NamedTuple):
-    """Layouts of one case, for some filters, the robust localiser or the bound."""
-
-    settings: PaperSettings
-    case: CaseName
-    names: tuple[str, ...]
-    """From `FILTERS`, or `ROBUST`, or `BOUND`."""
-    first: int
-    last: int
-    """The layout after the last one."""
-
-
 @dataclass(frozen=True)
 class Outcome(Errors):
     """Errors of each filter in one case over many layouts, (names, layouts, ...)."""
@@ -175,10 +163,36 @@ class Outcome(Errors):
         return np.asarray(self.rmse[self.names.index(name)])
 
 
-def run_block(block: Block) -> Arrays:
+@dataclass(frozen=True)
+class Question:
+    """Filters to run in one case over a number of layouts, or a block of these."""
+
+    settings: PaperSettings
+    case: CaseName
+    names: tuple[str, ...]
+    """From `FILTERS`, or `ROBUST`, or `BOUND`."""
+    layouts: int
+    """The layout after the last one."""
+    first: int = 0
+
+    def blocks(self) -> dict[str, Question]:
+        """Return its blocks by names that identify their settings."""
+        tree = self.settings.model_dump(mode="json", exclude={"runs"})
+        text = json.dumps([tree, self.case, self.names], sort_keys=True)
+        key = hashlib.sha256(text.encode()).hexdigest()[:16]
+        size = BLOCK if set(self.names) <= set(FILTERS) else SLOW_BLOCK
+        size = size if self.settings.measurements == "model" else 1
+        blocks = {}
+        for first in range(0, self.layouts, size):
+            last = min(first + size, self.layouts)
+            blocks[f"{key}-{first:07d}-{last:07d}"] = replace(self, layouts=last, first=first)
+        return blocks
+
+
+def run_block(block: Question) -> Arrays:
     """Run every filter of a block through its worlds; layout k is the same in all blocks."""
     settings, case = block.settings, block.case
-    worlds = [draw(case, settings, k) for k in range(block.first, block.last)]
+    worlds = [draw(case, settings, k) for k in range(block.first, block.layouts)]
     kept = [_errors(name, case, worlds, settings) for name in block.names]
     arrays = {f.name: np.array([getattr(e, f.name) for e in kept]) for f in fields(Errors)}
     return {**arrays, "moved": np.array([w.moved.sum() for w in worlds])}
@@ -205,30 +219,6 @@ def changed(paper: PaperSettings, change: Mapping[str, Mapping[str, Any]]) -> Pa
     for section, values in change.items():
         tree[section] = {**tree[section], **values}
     return validated(PaperSettings, tree)
-
-
-@dataclass(frozen=True)
-class Question:
-    """Filters to run in one case over a number of layouts."""
-
-    settings: PaperSettings
-    case: CaseName
-    names: tuple[str, ...]
-    layouts: int
-
-    def blocks(self) -> dict[str, Block]:
-        """Return its blocks by names that identify their settings."""
-        tree = self.settings.model_dump(mode="json", exclude={"runs"})
-        text = json.dumps([tree, self.case, self.names], sort_keys=True)
-        key = hashlib.sha256(text.encode()).hexdigest()[:16]
-        size = BLOCK if set(self.names) <= set(FILTERS) else SLOW_BLOCK
-        size = size if self.settings.measurements == "model" else 1
-        blocks = {}
-        for first in range(0, self.layouts, size):
-            last = min(first + size, self.layouts)
-            name = f"{key}-{first:07d}-{last:07d}"
-            blocks[name] = Block(self.settings, self.case, self.names, first, last)
-        return blocks
 
 
 def open_store(folder: Path, marker: str = MARKER) -> BlockStore:

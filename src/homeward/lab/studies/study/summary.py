@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from homeward.io.naming import number, share
+from homeward.lab.studies.study.plan import StudyPlan
 from homeward.lab.studies.study.results import Results
 from homeward.lab.studies.study.statistics import (
     Interval,
-    Pairing,
     adjusted,
     mean,
     paired,
@@ -115,50 +117,40 @@ def failures(results: Results) -> dict[str, int]:
     return {str(reasons[k]): int(counts[k]) for k in order}
 
 
-@dataclass(frozen=True)
-class Summary:
-    """Results by estimator, compared with the first one of the study."""
+class Compared(NamedTuple):
+    """A line, compared with the reference in its scenario: the first estimator of the study."""
 
-    closed: bool
-    """Whether each estimator steered its own drives."""
-    first: str
-    """The reference estimator."""
-    lines: list[Line]
-    rmse: list[Interval]
-    """RMSE of each line [m]."""
-    pairings: list[Pairing]
-    """Each line compared with the reference in its scenario."""
-    p: np.ndarray
-    """p-value of each line, adjusted for multiple comparisons; NaN for the reference."""
+    line: Line
+    rmse: Interval
+    """RMSE [m]."""
+    ratio: Interval
+    """RMSE ratio to the reference; see `Pairing`."""
+    p: float
+    """p-value, adjusted for multiple comparisons; NaN for the reference."""
 
 
-def summary(results: Results) -> Summary:
+def summary(results: Results) -> list[Compared]:
     """Return lines, intervals and tests of a study."""
     rmse, cases = results.run["position_rmse"], results.plan.cases
     pairs = [(i, j) for i in range(len(cases)) for j in range(len(results.plan.contenders))]
     parts = [(rmse[i, j, : cases[i].runs], rmse[i, 0, : cases[i].runs]) for i, j in pairs]
     pairings = [paired(*both) for both in parts]
-    p = [np.nan if j == 0 else found.p for (_, j), found in zip(pairs, pairings, strict=True)]
-    return Summary(
-        results.plan.study.loop == "closed",
-        results.plan.contenders[0].label,
-        lines(results),
-        [rmse_interval(own) for own, _ in parts],
-        pairings,
-        adjusted(p),
-    )
+    p = adjusted([np.nan if j == 0 else f.p for (_, j), f in zip(pairs, pairings, strict=True)])
+    intervals, ratios = [rmse_interval(own) for own, _ in parts], [f.ratio for f in pairings]
+    return list(map(Compared, lines(results), intervals, ratios, p.tolist()))
 
 
-def table(found: Summary) -> list[list[str]]:
+def table(plan: StudyPlan, found: Sequence[Compared]) -> list[list[str]]:
     """Return the table of the terminal and of the page as text, its head first.
 
     Columns without any known value are left out.
     """
+    closed, first = plan.study.loop == "closed", plan.contenders[0].label
     head = ["scenario", "estimator", "failed", "no pose", "RMSE [m]", "5 to 95 % of runs"]
-    head += ["RMSE / bound", f"RMSE ratio to {found.first}", "p", "heading [deg]", "NEES"]
-    head += [*(["reached home"] if found.closed else []), "exact detection rate", "runtime [s]"]
+    head += ["RMSE / bound", f"RMSE ratio to {first}", "p", "heading [deg]", "NEES"]
+    head += [*(["reached home"] if closed else []), "exact detection rate", "runtime [s]"]
     rows, before = [head], ""
-    for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
+    for line, rmse, ratio, p in found:
         shown = line.scenario if line.scenario != before else ""
         before = line.scenario
         rows.append(
@@ -170,11 +162,11 @@ def table(found: Summary) -> list[list[str]]:
                 with_interval(rmse),
                 _span(line.quantiles[0], line.quantiles[4]),
                 number(line.ratio),
-                "" if line.estimator == found.first else with_interval(pair.ratio),
+                "" if line.estimator == first else with_interval(ratio),
                 probability(p),
                 number(float(np.degrees(line.heading_rmse))),
                 number(float(line.nees[2])),
-                *([share(line.home)] if found.closed else []),
+                *([share(line.home)] if closed else []),
                 share(line.moved_right),
                 number(line.seconds),
             ]
@@ -191,14 +183,14 @@ EXACT = (
 """Columns of `exact_table`."""
 
 
-def exact_table(found: Summary) -> list[list[object]]:
+def exact_table(found: Sequence[Compared]) -> list[list[object]]:
     """Return the table with exact numbers; ratio and p are relative to the first estimator."""
     rows: list[list[object]] = [list(EXACT)]
-    for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
+    for line, rmse, ratio, p in found:
         rows.append(
             [
                 *(line.scenario, line.estimator, line.runs, line.failed, line.no_pose, *rmse),
-                *(line.bound, *pair.ratio, float(p), line.heading_rmse, float(line.nees[2])),
+                *(line.bound, *ratio, p, line.heading_rmse, float(line.nees[2])),
                 *(line.home, line.moved_right, line.seconds),
             ]
         )

@@ -27,28 +27,14 @@ SLACK = 1e-6
 """Rectangles extend beyond their edges by this, in tiles, so that no ray passes between two."""
 
 
-@dataclass(frozen=True)
-class Projected:
-    """The m rectangles that face a camera, in its frame."""
+def projected(
+    surfaces: Surfaces, position: np.ndarray, rotation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the m rectangles that face a camera, in its frame; arguments as in `Viewpoint`.
 
-    index: np.ndarray
-    matrix: np.ndarray
-    """(m, 3, 3), M."""
-    shift: np.ndarray
-    """(m, 2), added to q1 / q0 and q2 / q0."""
-    low: np.ndarray
-    """(m, 2), minimum tile coordinates."""
-    high: np.ndarray
-    """(m, 2), maximum tile coordinates."""
-
-    @property
-    def limits(self) -> np.ndarray:
-        """Shift, minimum and maximum tile coordinates, (m, 6)."""
-        return np.hstack([self.shift, self.low, self.high])
-
-
-def project(surfaces: Surfaces, position: np.ndarray, rotation: np.ndarray) -> Projected:
-    """Return the rectangles that face a camera, in its frame; arguments as in `Viewpoint`."""
+    These are their indices (m,), the matrices M (m, 3, 3), and limits (m, 6): the numbers added to
+    q1 / q0 and q2 / q0, and the minimum and maximum of both tile coordinates.
+    """
     away = np.einsum("ni,ni->n", surfaces.normal, surfaces.corner - position)
     index = np.flatnonzero(away < -1e-9)
     corner = (surfaces.corner[index] - position) @ rotation
@@ -64,7 +50,7 @@ def project(surfaces: Surfaces, position: np.ndarray, rotation: np.ndarray) -> P
         axis=1,
     )
     shift = low - np.einsum("nki,ni->nk", rows[:, 1:], corner)
-    return Projected(index, rows, shift, low - SLACK, low + tiles + SLACK)
+    return index, rows, np.hstack([shift, low - SLACK, low + tiles + SLACK])
 
 
 _INDICES, _VALUES, _SURFACES = (
@@ -136,15 +122,15 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
         np.zeros(shape, kind),
         np.full(shape, -1, np.int16),
     )
-    projected = project(surfaces, *view)
-    matrix, limits = projected.matrix.astype(kind), projected.limits.astype(kind)
+    indices, *both = projected(surfaces, *view)
+    matrix, limits = (part.astype(kind) for part in both)
     planes = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
     if kind == np.float32 and (native := compiled()) is not None:
-        given = projected.index.astype(np.int64), planes, matrix, limits
+        given = indices.astype(np.int64), planes, matrix, limits
         found = hits.distance, hits.across, hits.along, hits.surface
         native(hits.surface.size, len(matrix), *given, TINY, *found)
         return hits
-    for k, index in enumerate(projected.index.tolist()):
+    for k, index in enumerate(indices.tolist()):
         _meet(hits, index, limits[k].tolist(), list(np.tensordot(matrix[k], planes, 1)))
     return hits
 
@@ -158,7 +144,7 @@ def points(hits: Hits, view: Viewpoint, directions: np.ndarray) -> np.ndarray:
 def _meet(hits: Hits, index: int, limits: Sequence[float], q: Sequence[np.ndarray]) -> None:
     """Keep the hits on a rectangle that are nearer than earlier hits.
 
-    `q` are three arrays of the shape of the hits, `limits` as in `Projected`.
+    `q` are three arrays of the shape of the hits, `limits` as of `projected`.
     """
     shift_s, shift_t, s0, t0, s1, t1 = limits
     distance = np.reciprocal(np.maximum(q[0], hits.distance.dtype.type(TINY)))

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from homeward.drives.cameras.camera import unit_vectors
-from homeward.lab.simulation.render.rays.raycast import Viewpoint, points, trace
+from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace
 from homeward.lab.simulation.render.rays.surfaces import Surfaces
 from homeward.lab.simulation.render.room.settings import RoomCamera
 from homeward.lab.simulation.render.scene import RoomScene
@@ -29,18 +29,6 @@ NOTHING = 65535
 """Object index of pixels without a ray."""
 
 
-@dataclass(frozen=True)
-class PixelTruth:
-    """Ground truth of each pixel's centre; arrays of shape (height, width)."""
-
-    point: np.ndarray
-    """(height, width, 3), in room coordinates [m]."""
-    distance: np.ndarray
-    """From the camera [m]; infinite where there is no ray."""
-    thing: np.ndarray
-    """Index into the scene's `things`; `NOTHING` where there is no ray."""
-
-
 @lru_cache(maxsize=2)
 def rays_of(
     camera: RoomCamera, oversampling: int = 1, dtype: type[np.floating] = np.float64
@@ -53,12 +41,13 @@ def rays_of(
     return np.moveaxis(np.moveaxis(vectors, -1, 0).astype(dtype, order="C"), 0, -1)
 
 
-def pixel_truth(scene: RoomScene, view: Viewpoint, camera: RoomCamera) -> PixelTruth:
-    """Return the exact ground truth of every pixel's centre, in double precision."""
-    rays = rays_of(camera)
-    hits = trace(scene.surfaces, view, rays)
-    thing = np.where(hits.surface >= 0, scene.surfaces.thing[hits.surface], NOTHING)
-    return PixelTruth(points(hits, view, rays), hits.distance, thing)
+def pixel_things(scene: RoomScene, view: Viewpoint, camera: RoomCamera) -> np.ndarray:
+    """Return the object at the centre of every pixel, in double precision: (height, width).
+
+    These are indices into the scene's `things`; `NOTHING` where there is no ray.
+    """
+    met = trace(scene.surfaces, view, rays_of(camera)).surface
+    return np.where(met >= 0, scene.surfaces.thing[met], NOTHING)
 
 
 def picture(
