@@ -39,6 +39,12 @@ class Reason(_Words):
     HOME_AMBIGUOUS = (
         "home bearings without ids fit no place of the map better than all others; drive on"
     )
+    HOME_UNPROVEN = (
+        "home bearings without ids may fit another place that was not seen yet as well; drive on"
+    )
+    NO_ANCHORS = (
+        "too few of the newest bearings are of landmarks that were seen together with those of home"
+    )
     NO_CONSTELLATION = "bearings without ids do not fit the map; the robot may be elsewhere"
     FROZEN = "the camera is frozen: bearings repeat exactly while odometry moves"
     CONTRADICTED = "odometry moves, but bearings do not: the camera is frozen, or the wheels spin"

@@ -27,7 +27,7 @@ def is_followed(key: str) -> bool:
 
 def class_of(key: str) -> str:
     """Return the class of a sighting without an id; empty if it has none."""
-    return key[len(CLASS) :].rpartition(NUMBER)[0] if key.startswith(CLASS) else ""
+    return key[len(CLASS) :].partition(NUMBER)[0] if key.startswith(CLASS) else ""
 
 
 def without_number(key: str) -> str:
@@ -54,11 +54,11 @@ def numbered(texts: Iterable[str]) -> list[str]:
 def keyed(values: Any) -> Any:
     """Return values by key: of a list of numbers, or of pairs of a class and a number.
 
-    In a mapping, the key ``class:post``, or an empty one, may have a list of numbers. Anything else
-    is returned as it is.
+    In a mapping, the key ``class:post``, or an empty one, may have a number or a list of them.
+    Anything else is returned as it is.
     """
     if isinstance(values, Mapping):
-        if not any(_has_list(key, value) for key, value in values.items()):
+        if not any(_has_list(k, value) or _lacks_number(k) for k, value in values.items()):
             return values
         given = [(k, v) for k, value in values.items() for v in _each(k, value)]
     elif isinstance(values, Sequence) and not isinstance(values, str | bytes):
@@ -75,6 +75,10 @@ def keyed(values: Any) -> Any:
 
 def _has_list(key: object, value: object) -> bool:
     return isinstance(key, str) and is_unlabelled(key) and not hasattr(value, "__float__")
+
+
+def _lacks_number(key: object) -> bool:
+    return isinstance(key, str) and not is_followed(key) and NUMBER not in key
 
 
 def _each(key: object, value: Any) -> Iterable[Any]:

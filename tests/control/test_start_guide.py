@@ -58,6 +58,13 @@ def test_landmarks_that_have_parallax_count_less():
     assert abs(math.sin(found.advice().turn)) < 0.5
 
 
+def test_landmarks_without_ids_are_not_taken_for_those_of_another_image():
+    keys = ["class:#1", "class:#2", "class:#3"]
+    found = StartGuide(keys, ORIGIN)
+    found.add(ORIGIN, dict(zip(keys, [0.0, 0.1, -0.1], strict=True)))
+    assert found.advice() == Manoeuvre(0.0, 1.0, 0.0)
+
+
 def test_other_landmarks_and_bad_bearings_do_not_matter():
     bearings = [0.0, 0.05, -0.05, math.pi, 3.1]
     found, other = guide(bearings), guide(bearings)

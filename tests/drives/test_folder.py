@@ -12,10 +12,10 @@ from homeward.drives.folder import (
     BAD_RANGES,
     BEYOND_A_TURN,
     HOME_ADVICE,
-    REPEATED_SIGHTINGS,
     read_folder,
     write_folder,
 )
+from homeward.drives.ids import REPEATED_SIGHTINGS
 from homeward.drives.settings import DriveSettings
 from homeward.io.table import CHUNK
 
@@ -217,6 +217,13 @@ HOSTILE = [
     ("drive.yaml", b"\"a\\nb\": 1\n", "drive.yaml: 'a\\nb': unknown key"),
     ("drive.yaml", b"sensor: \xff\n", "drive.yaml: not YAML: "),
 ]  # fmt: skip
+
+
+@pytest.mark.parametrize("turn", [b"6.2832", b"6.28319", b"6.283"])
+def test_a_field_of_view_all_round_may_be_rounded(tmp_path, turn):
+    settings = b"sensor: {field_of_view: %s, yaw: -%s}\n" % (turn, turn)
+    folder = put(tmp_path / "run", drive_yaml=settings)
+    assert read_folder(folder).settings.sensor.field_of_view == float(turn)
 
 
 @pytest.mark.parametrize(("name", "content", "message"), HOSTILE)

@@ -1,9 +1,12 @@
 """Import of landmarks without ids: reflectors of a laser scanner, as bearings or positions."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
-from homeward.drives.drive import Odometry
+from homeward.drives.drive import Odometry, Sightings
+from homeward.drives.ids import with_keys
 from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.senses import UNDECIDED, senses_of
 from homeward.drives.settings import home_when
@@ -58,6 +61,42 @@ def test_a_name_of_several_landmarks_in_a_frame_is_a_class(files):
     assert any("'post', which is the name of several" in reason for reason in drive.remarks)
     repeated = understand(files("t,id,bearing", lambda t, p: f"{t:.2f},post,0.5"))
     assert set(drive_of(repeated, "", REST).sightings.landmark) == {"post"}
+
+
+@pytest.mark.parametrize("id_of", [lambda k, n: n, lambda k, n: k])
+def test_row_numbers_and_numbers_of_detections_are_no_ids(files, tmp_path, id_of):
+    rng, counts = np.random.default_rng(2), Counter()
+
+    def row(t, p):
+        if rng.random() < 0.2:
+            return f"{t:.2f},,"
+        counts[t] += 1
+        return f"{t:.2f},{id_of(counts[t], counts.total())},{np.angle(p):.5f}"
+
+    paths = files("t,id,bearing", row)
+    home = tmp_path / "home.csv"
+    lines = [f"{k},{b:.5f}" for k, b in enumerate(np.sort(np.angle(REFLECTORS)))]
+    home.write_text("\n".join(["id,bearing", *lines]))
+    drive = drive_of(understand([*paths, home]), "")
+    keys = {f"class:#{k}" for k in range(1, 10)}
+    assert {*drive.sightings.landmark} == keys == {*drive.home}
+    assert any("used without ids" in reason for reason in drive.remarks)
+
+
+def test_landmarks_that_come_into_view_in_the_order_of_their_ids_keep_these():
+    numbers = [(k, j) for k in range(200) for j in range(1 + k // 10 % 10)]
+    t, j = np.array(numbers, float).T
+    ids = np.array([str(int(n)) for n in j], object)
+    seen = Sightings(t, ids, 0.3 * np.sin(t / 5) + 0.5 * j - 2.0, np.full(t.size, np.nan))
+    assert with_keys(seen, {}).landmark.tolist() == ids.tolist()
+
+
+def test_home_bearings_of_a_class_may_have_its_name(files, tmp_path):
+    paths = files("t,class,bearing", lambda t, p: f"{t:.2f},post,{np.angle(p):.5f}")
+    home = tmp_path / "home.csv"
+    home.write_text("\n".join(["class,bearing", *(f"post,{b:.5f}" for b in np.angle(REFLECTORS))]))
+    drive = drive_of(understand([*paths, home]), "")
+    assert list(drive.home) == [f"class:post#{k}" for k in range(1, 10)]
 
 
 def test_positions_without_ids_are_imported_where_their_axes_are_given(files):

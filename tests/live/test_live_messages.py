@@ -76,10 +76,20 @@ def test_a_bad_line_is_refused_in_one_line(line, words):
     assert len(str(error.value)) < 300
 
 
-def test_too_many_landmarks_are_refused():
-    many = {str(i): 0.0 for i in range(501)}
+@pytest.mark.parametrize("many", [{str(i): 0.0 for i in range(501)}, {"": [0.0] * 501}])
+def test_too_many_landmarks_are_refused(many):
     with pytest.raises(InputError):
         parse(json.dumps({"type": "bearings", "t": 0, "bearings": many}))
+
+
+def test_landmarks_without_ids_have_lists_of_bearings():
+    frame = {"type": "bearings", "t": 0, "bearings": {"": [0.1, 0.2], "class:post": [0.3], "7": 1}}
+    seen = parse(json.dumps(frame | {"sigmas": {"": [0.01, 0.02]}}))
+    assert seen.bearings == {"class:#1": 0.1, "class:#2": 0.2, "class:post#1": 0.3, "7": 1.0}
+    assert seen.sigmas == {"class:#1": 0.01, "class:#2": 0.02}
+    assert parse(line_of(seen)) == seen
+    with pytest.raises(InputError, match=r"bearings\.7: must be a number"):
+        parse(json.dumps(frame | {"bearings": {"7": [0.1]}}))
 
 
 @given(st.text(max_size=60))

@@ -80,6 +80,9 @@ def test_maps_keep_their_scale_where_errors_last():
     assert any(
         n.startswith("Bearing errors of") and "correlated over" in n for n in localizer.notes
     )
+    (small,) = localizer.chart.noise.correlated.notes(1e-4)
+    assert not small.startswith("Bearing errors of 0 ")
+    assert not small.startswith("Bearing errors of 0.0 ")
     found = late_figures(track, drive, whole)
     assert abs(found["scale"]) < 1.0  # 3.5 and more where they are counted as white
     assert found["pose"] > 0.95

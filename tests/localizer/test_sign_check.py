@@ -34,6 +34,7 @@ def watched(
     gain=1,
     vy=0.0,
     turn_scale=1.0,
+    aside=1.0,
 ):
     """Senses after a drive past landmarks, each seen five times a second."""
     rng, sign_check = np.random.default_rng(0), SignCheck(Mount(yaw=yaw))
@@ -41,7 +42,7 @@ def watched(
     for k in range(round(10 * seconds)):
         t, twist = k / 10, law(k / 10)
         omega = turn_scale * twist.omega + gyro * rng.normal() / math.sqrt(0.1)
-        twists.add(t, gain * twist.v, omega, vy=vy)
+        twists.add(t, gain * twist.v, omega, vy=aside * vy)
         if k % 2 == 0:
             d = np.array(marks) - [x, y]
             bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw - off
@@ -70,6 +71,14 @@ def weave(t):
 def round_and_round(_):
     """A wide circle to the left."""
     return Twist(0.5, 0.25)
+
+
+def test_a_sideways_speed_to_the_right_is_named_next_to_the_yaw():
+    found = watched(weave, NEAR, vy=0.2, aside=-1.0)
+    assert found.is_wrong
+    assert "vy, which is positive to the left, has the wrong sign" in found.note()
+    assert "vy" not in watched(weave, NEAR, yaw=0.0, off=1.5).note()
+    assert not watched(weave, NEAR, vy=0.2).is_wrong
 
 
 @pytest.mark.parametrize("law", [eight, backward, round_and_round, lambda _: Twist(0.0, 0.5)])

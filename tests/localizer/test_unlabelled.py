@@ -23,6 +23,7 @@ from homeward.localizer.unlabelled.local_map import LocalMap
 from homeward.localizer.unlabelled.lost import Loss
 from homeward.localizer.unlabelled.registry import Registry
 from homeward.localizer.unlabelled.repetition import log_repetition
+from homeward.reasons import Reason
 from homeward.registry import make_estimator
 from homeward.sighting_keys import class_of, is_unlabelled, keyed, numbered, without_number
 from homeward.track import run
@@ -45,6 +46,9 @@ def test_lists_become_mappings_by_key():
     assert keyed({"7": 0.3, "class:post": [0.1, 0.2], "": [0.4]}) == {
         "7": 0.3, "class:post#1": 0.1, "class:post#2": 0.2, "class:#1": 0.4,
     }  # fmt: skip
+    assert keyed({"class:lamp": 0.1, "": 0.2}) == {"class:lamp#1": 0.1, "class:#1": 0.2}
+    frame = {"class:post#2": 0.1, "track:4": 0.2}
+    assert keyed(frame) is frame
     with_ids = {"7": 0.3}
     assert keyed(with_ids) is with_ids
 
@@ -328,6 +332,8 @@ def test_the_other_room_is_never_taken_for_home_before_that_of_home_is_known():
     track = run(pair.without, localizer, on_estimate=look)
     assert any(was_assigned)
     assert Status.LOCALISED not in track.status
+    whys = [w for s, w in zip(track.status, track.reason, strict=True) if s is Status.UNVERIFIED]
+    assert whys.count(Reason.HOME_UNPROVEN.words) > 0.8 * len(whys)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -16,6 +16,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose
+from homeward.sighting_keys import is_followed
 
 DRIVE_M = 1.0
 """Distance of an advised drive [m]: a quarter of the distance of landmarks in a room."""
@@ -55,13 +56,13 @@ class StartGuide:
     Parameters
     ----------
     home : collection of str
-        Landmarks that home saw.
+        Landmarks that home saw; those without ids give no advice.
     camera : Pose
         Pose of the camera on the robot.
     """
 
     def __init__(self, home: Collection[str], camera: Pose) -> None:
-        self._home, self._camera = frozenset(home), camera
+        self._home, self._camera = frozenset(filter(is_followed, home)), camera
         self._first: dict[str, float] = {}
         """Direction of each landmark when it was first seen, in the odometry frame [rad] ..."""
         self._last: dict[str, float] = {}

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Tilt, Truth
+from homeward.drives.ids import with_keys, with_names_of
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.plausibility import remark_other_units, without_implausible
 from homeward.drives.ros.kinds import is_log
@@ -36,7 +35,7 @@ from homeward.io.table import (
 )
 from homeward.io.writing import whole_folder
 from homeward.odometry.validity import MAX_DELAY_S
-from homeward.sighting_keys import CLASS, is_unlabelled, numbered, without_number
+from homeward.sighting_keys import numbered, without_number
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
@@ -74,19 +73,10 @@ SIGNS_CHANGED = (
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
 REPEATED_TRUTH = "ground truth rows with a repeated stamp; the last counts"
 REPEATED_TILT = "rows of roll and pitch with a repeated stamp; the last counts"
-OF_CLASS = (
-    "sightings of {}, which is the name of several landmarks in most frames, used as sightings of "
-    "that class, without ids"
-)
-MIN_APART, MIN_FRAMES = 0.1, 10
-"""Minimum distance of bearings that are of two landmarks [rad]: more than the noise of cameras;
-and of frames that make a name a class."""
-REPEATED_SIGHTINGS = "repeated sightings of a landmark at one stamp; the last counts"
 NO_ODOMETRY = (
     f"stamps of bearings without odometry ({ODOMETRY} is missing): poses use the bearings of "
     "surveyed landmarks only"
 )
-WITHOUT_IDS = "sightings without an id; the estimator robust finds their landmarks"
 BAD_RANGES = "ranges that are not greater than 0, or infinite; only their bearings are used"
 BEYOND_A_TURN = (
     "bearings beyond a full turn were wrapped; convert them to rad if they are in degrees"
@@ -175,7 +165,7 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         name=folder.resolve().name,
         odometry=odometry,
         sightings=sightings,
-        home=read_home(folder / HOME, remarks) if is_there(folder / HOME) else {},
+        home=read_home(folder / HOME, remarks, sightings) if is_there(folder / HOME) else {},
         settings=settings,
         truth=read_samples(Truth, folder / TRUTH, remarks),
         remarks=remarks,
@@ -268,14 +258,6 @@ def wrapped(table: Table, name: str, remarks: dict[str, int]) -> np.ndarray:
     return np.where(inside, angle, np.clip(wrap(angle), np.nextafter(-math.pi, 0), math.pi))
 
 
-def _frames_of_several(sightings: Sightings) -> Iterator[tuple[int, int]]:
-    """Yield the first row and the number of rows of each frame with more than one sighting."""
-    starts = sightings.begins
-    sizes = np.diff(starts, append=sightings.t.size)
-    starts, sizes = starts[sizes > 1], sizes[sizes > 1]
-    yield from zip(starts.tolist(), sizes.tolist(), strict=True)
-
-
 def _read(file: str, path: Path, remarks: dict[str, int]) -> Table:
     """Read a table with the columns of a file of a drive folder."""
     required, optional = COLUMNS[file]
@@ -325,53 +307,22 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
     if cameras:
         number = np.unique(cameras[0].astype(str), return_inverse=True)[1]
         sightings = sightings.rows(np.lexsort((number, sightings.t)))
-    sightings = _with_keys(sightings, remarks)
-    landmark, frames = sightings.landmark, _frames_of_several(sightings)
-    if repeats := sum(n - len(set(landmark[a : a + n].tolist())) for a, n in frames):
-        remarks[REPEATED_SIGHTINGS] = repeats
-    return sightings
+    return with_keys(sightings, remarks)
 
 
-def _with_keys(sightings: Sightings, remarks: dict[str, int]) -> Sightings:
-    """Return sightings of which those without an id have a key of their own in each frame."""
-    classes = _classes(sightings)
-    texts = [str(text) for text in sightings.landmark]
-    for name, num in classes.items():
-        texts = [f"{CLASS}{name}" if text == name else text for text in texts]
-        remarks[OF_CLASS.format(quoted(name))] = num
-    number = sum(map(is_unlabelled, texts))
-    if not number:
-        return sightings
-    remarks[WITHOUT_IDS] = number
-    ends = [*sightings.begins.tolist(), len(texts)]
-    keys = [key for a, b in pairwise(ends) for key in numbered(texts[a:b])]
-    return replace(sightings, landmark=np.array(keys, object))
+def read_home(
+    path: Path, remarks: dict[str, int], seen: Sightings | None = None
+) -> dict[str, HomeBearing]:
+    """Read a home.csv (landmark, bearing[, sigma][, camera]); as `home_of`."""
+    return home_of(_read(HOME, path, remarks), remarks, seen)
 
 
-def _classes(sightings: Sightings) -> dict[str, int]:
-    """Return the numbers of sightings of names that are several landmarks in most frames."""
-    several: Counter[str] = Counter()
-    for a, n in _frames_of_several(sightings):
-        ids, bearing = sightings.landmark[a : a + n], sightings.bearing[a : a + n]
-        if len(set(ids.tolist())) < n:
-            for name, num in Counter(ids.tolist()).items():
-                is_apart = num > 1 and np.ptp(bearing[ids == name]) > MIN_APART
-                several[name] += is_apart and not is_unlabelled(name)
-    found = {}
-    for name in (name for name, num in several.items() if num >= MIN_FRAMES):
-        use = sightings.landmark == name
-        if 2 * several[name] > np.unique(sightings.t[use]).size:
-            found[name] = int(use.sum())
-    return found
-
-
-def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
-    """Read a home.csv (landmark, bearing[, sigma][, camera]); as `read_folder`."""
-    return home_of(_read(HOME, path, remarks), remarks)
-
-
-def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
-    """Return the home bearings of a table; as `read_home`."""
+def home_of(
+    table: Table, remarks: dict[str, int], seen: Sightings | None = None
+) -> dict[str, HomeBearing]:
+    """Return the home bearings of a table, with the ids and classes of the sightings `seen`."""
+    if seen is not None:
+        table = with_names_of(seen, table, remarks)
     keys = np.array(numbered(table["landmark"].tolist()), object)
     table = replace(table, columns={**table.columns, "landmark": keys})
     table.require_unique("landmark")

@@ -112,7 +112,7 @@ def open_drive(
     when = drive.settings.home
     if home_file is not None:
         when, remarks = None, dict(drive.remarks)
-        home = read_home(Path(home_file), remarks)
+        home = read_home(Path(home_file), remarks, drive.sightings)
         drive = dataclasses.replace(drive, home=home, remarks=remarks)
     elif chosen is not None:
         when = chosen

@@ -25,8 +25,10 @@ Scale = Annotated[float, Field(ge=0.5, le=2)]
 """True value over the measured one [1]; a larger error is a wrong unit or geometry."""
 Offset = Annotated[float, Field(ge=-20, le=20)]
 """[m]; one beyond the size of vehicles is in another unit."""
-Turn = Annotated[float, Field(ge=-2 * math.pi - 1e-9, le=2 * math.pi + 1e-9)]
-"""[rad]; more than a turn is in degrees."""
+MAX_TURN = 2 * math.pi + 1e-3
+"""[rad]; a turn may be rounded up, as 6.2832, and more is in degrees."""
+Turn = Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)]
+"""[rad]"""
 Number = TypeVar("Number", float, np.ndarray)
 
 
@@ -84,7 +86,7 @@ class Sensor(OtherCamera):
     """Yaw of the camera's axis relative to the robot's heading [rad]."""
     bearing_sigma: Annotated[float, Field(gt=0, le=math.pi)] | None = None
     """Standard deviation of a bearing [rad]; None when unknown."""
-    field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None
+    field_of_view: Annotated[float, Field(gt=0, le=MAX_TURN)] | None = None
     """Full opening angle around its axis [rad]; None when unknown."""
     range_sigma: RangeSigma | None = None
     """Relative standard deviation of a range without its own [1]; None: 0.05, and 0.05 m. ``.inf``:

@@ -13,10 +13,11 @@ from homeward.drives.landmarks import Surveyed
 from homeward.drives.settings import Mount, Offset, Turn
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.io.checks import AfterValidator, Field, json_schema
+from homeward.io.checks import AfterValidator, BeforeValidator, Field, json_schema
 from homeward.io.models import Strict
 from homeward.io.settings import parsed
 from homeward.io.table import is_identifier
+from homeward.sighting_keys import keyed
 
 VERSION = 1
 MAX_LINE = 2**16
@@ -52,8 +53,11 @@ Range = Annotated[float, Field(gt=0, le=MAX_LENGTH, allow_inf_nan=False)]
 Id = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 Name = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 """Name of a home or a route."""
-Bearings = Annotated[dict[Id, Bounded], Field(max_length=MAX_LANDMARKS)]
-Sigmas = Annotated[dict[Id, Sigma], Field(max_length=MAX_LANDMARKS)]
+_LIMITS = Field(max_length=MAX_LANDMARKS), BeforeValidator(keyed)
+Bearings = Annotated[dict[Id, Bounded], *_LIMITS]
+"""By landmark id; of landmarks without ids lists, by ``class:NAME`` or an empty key."""
+Ranges = Annotated[dict[Id, Range], *_LIMITS]
+Sigmas = Annotated[dict[Id, Sigma], *_LIMITS]
 
 
 class LiveMessage(Strict):
@@ -95,10 +99,11 @@ class BearingsIn(LiveMessage, type="bearings"):
 
     t: Time
     bearings: Bearings
-    """Bearing from the camera's axis, anti-clockwise, by landmark id [rad]."""
+    """Bearing from the camera's axis, anti-clockwise, by landmark id [rad]; of landmarks without
+    ids a list by ``class:NAME``, or by an empty key."""
     sigmas: Sigmas = {}
     """Standard deviations of some bearings [rad]."""
-    ranges: Annotated[dict[Id, Range], Field(max_length=MAX_LANDMARKS)] = {}
+    ranges: Ranges = {}
     """Measured distances of some landmarks from the camera, a hint [m]."""
     range_sigmas: Sigmas = {}
     """Standard deviations of some ranges [m]."""

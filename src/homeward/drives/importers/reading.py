@@ -29,6 +29,7 @@ from homeward.drives.folder import (
     without_repeats,
 )
 from homeward.drives.home.when import with_home
+from homeward.drives.ids import with_names_of
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import MIN_COMMON, UNIX_S, Imported, Part
@@ -254,11 +255,13 @@ def drive_of(
         given["wheels"] = wheels.without_turns if turned_by_gyro else wheels
     if REMARK in remarks:
         given["signs_changed"] = remarks[REMARK]
+    seen = sightings_of(tables["bearings"], remarks)
+    at_home = with_names_of(seen, tables["home"], remarks) if "home" in tables else None
     drive = Drive(
         name=name,
         odometry=odometry,
-        sightings=sightings_of(tables["bearings"], remarks),
-        home=home_of(_averaged(tables["home"], remarks), remarks) if "home" in tables else {},
+        sightings=seen,
+        home=home_of(_averaged(at_home, remarks), remarks) if at_home is not None else {},
         settings=DriveSettings(**given),
         truth=samples_of(Truth, tables["truth"], remarks) if "truth" in tables else None,
         tilt=samples_of(Tilt, tables["tilt"], remarks) if "tilt" in tables else None,
@@ -279,7 +282,8 @@ def _averaged(home: Table, remarks: dict[str, int]) -> Table:
     total = np.zeros(ids.size, complex)
     np.add.at(total, index, np.exp(1j * home["bearing"]))
     error = np.abs(wrap(home["bearing"] - np.angle(total)[index]))
-    if ids.size == len(home) or not error.max() <= MAX_HOME_SPREAD:
+    is_plain = ids.size == len(home) or any(map(is_unlabelled, ids.tolist()))
+    if is_plain or not error.max() <= MAX_HOME_SPREAD:
         return home
     remarks[AVERAGED] = len(home)
     columns = {name: values[first] for name, values in home.columns.items()}

@@ -167,7 +167,7 @@ class _Reading:
             name=self._path.resolve().stem,
             odometry=odometry,
             sightings=sightings,
-            home=self._home(),
+            home=self._home(sightings),
             settings=self._clock.in_settings(self._settings),
             truth=self._truth(),
             tilt=self._tilt(),
@@ -338,19 +338,19 @@ class _Reading:
                 pairs = list(zip(part["t"].tolist(), part["landmark"].tolist(), strict=True))
             known.update(pairs)
 
-    def _home(self) -> dict[str, HomeBearing]:
+    def _home(self, seen: Sightings) -> dict[str, HomeBearing]:
         given = self._plan.home
         if given is None or (given.csv is None and given.topic is None):
             return {}
         if given.csv is not None:
             source = self._path if self._topics is None else self._topics
-            return read_home(source.parent / given.csv, self._remarks)
+            return read_home(source.parent / given.csv, self._remarks, seen)
         assert self._at_home is not None
         columns = self._at_home.columns()
         first = columns["t"] == columns["t"][:1]
         rows = np.flatnonzero(first) + 1
         table = Table(self._path, rows, {n: c[first] for n, c in columns.items()})
-        return home_of(table, self._remarks)
+        return home_of(table, self._remarks, seen)
 
     def _tilt(self) -> Tilt | None:
         if (topic := self._plan.tilt) is None:

@@ -266,7 +266,7 @@ class CorrelatedErrors:
             return ()
         slow, time = math.degrees(sigma * math.sqrt(self.share)), self.correlation_time
         return (
-            f"Bearing errors of {slow:.1f} deg are correlated over {time:.1f} s, and the covariance"
+            f"Bearing errors of {slow:.2g} deg are correlated over {time:.1f} s, and the covariance"
             " is larger for that. Check the calibration and the stamps of bearings.",
         )
 

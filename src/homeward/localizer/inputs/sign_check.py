@@ -174,6 +174,8 @@ class SignCheck:
             0.0,
             False,
         )
+        self._strafes = False
+        """Whether the odometry has a sideways speed."""
         self._since = -math.inf
         self._index: dict[str, int] = {}
         self._rows: list[tuple[int, int, float]] = []
@@ -240,6 +242,11 @@ class SignCheck:
         )
         if abs(error) > math.pi - (self._tolerance + 0.5) * YAW_STEP:
             words += "; or, if that yaw is right, the speed v has the wrong sign: multiply it by -1"
+        elif self._strafes:
+            words += (
+                "; or, if that yaw is right, the sideways speed vy, which is positive to the left,"
+                " has the wrong sign: multiply it by -1"
+            )
         return words + "."
 
     def _line(self, yaw: float) -> str:
@@ -261,6 +268,7 @@ class SignCheck:
         self._place = self._place + (ahead + 1j * left) * np.exp(1j * middle)
         self._turned += abs(float(turn[0]))
         self._has_turned |= bool(turn[0] != 0.0)
+        self._strafes |= bool(left.any())
         if not self._rows:
             self._since, self._turned = t, 0.0
         camera = self._place + np.exp(1j * heading) * complex(self._sensor.x, self._sensor.y)

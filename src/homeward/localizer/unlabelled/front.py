@@ -67,9 +67,11 @@ class UnlabelledLandmarks:
         """Why a pose is not verified, if it is not."""
         if not self.known.seen:  # all landmarks have ids
             return None
-        is_open = self.home.is_needed and not self.home.is_proven
-        is_doubtful = is_open or self._loss.is_suspected or not self._anchors.are_enough
-        return Reason.NO_CONSTELLATION if is_doubtful else None
+        if self._loss.is_suspected:
+            return Reason.NO_CONSTELLATION
+        if self.home.is_needed and not self.home.is_proven:
+            return Reason.HOME_UNPROVEN
+        return None if self._anchors.are_enough else Reason.NO_ANCHORS
 
     def identify(
         self, frame: BearingFrame, here: Reckoned, twists: TwistHistory, chart: Chart
