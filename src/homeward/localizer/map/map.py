@@ -108,7 +108,9 @@ class Map:
         self.evaluated = True
         """Whether the newest solution was evaluated: landmarks that do not fit it are dropped, and
         learning from it is due. That takes long, so it is not done at each keyframe."""
-        self._evaluated_at, self._evaluated = 0, (self.smoother.ids, self.smoother.state.positions)
+        self._evaluated = self.smoother.ids, self.smoother.state.positions
+        self._learnt_at = 0
+        """Newest keyframe when learning from a solution was due last."""
         self.busy = False
         """Whether the newest frame has taken long already: for an evaluation, or learning."""
         self._after_evaluation: list[Callable[[], None]] = []
@@ -262,7 +264,7 @@ class Map:
     def _add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray) -> None:
         """Add a keyframe; see `Smoother.add_keyframe`."""
         smoother = self.smoother
-        kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._evaluated_at
+        kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._learnt_at
         full, every = kept >= self._settings.window, kept / EVALUATIONS_PER_WINDOW
         if smoother.newest - self.denied_at < self._settings.window:
             every = min(every, EVALUATED_AFTER_DENIAL)
@@ -419,11 +421,12 @@ class Map:
         if initialised:
             self.registration.fix_expected()
         self.evaluated = False
-        due = changed or initialised or self._evaluation_due
-        if not due:
-            self.smoother.solve()
-        if due or self._has_moved():
+        if changed or initialised or self._evaluation_due:
             self._solve()
+        else:
+            self.smoother.solve()
+            if self._has_moved():
+                (self._evaluate if self.smoother.converged else self._solve)()
         self._num_between = 0
 
     def _has_moved(self) -> bool:
@@ -436,20 +439,26 @@ class Map:
         return bool((np.hypot(*(now - before).T) > NEGLIGIBLE * reach).any())
 
     def _solve(self) -> None:
-        """Solve the window, remove landmarks that do not fit, and learn from the residuals."""
-        self.busy, smoother = True, self.smoother
+        """Solve the window, and evaluate the solution."""
         if self.landmarks.mapped:
-            self._learner.scale_noise_prior(smoother)
-        smoother.solve()
+            self._learner.scale_noise_prior(self.smoother)
+        self.smoother.solve()
+        self._evaluate()
+
+    def _evaluate(self) -> None:
+        """Remove landmarks that do not fit the solution, and learn from it where that is due."""
+        self.busy, smoother = True, self.smoother
         if smoother.converged:
             self.registration.evaluate()
         misfits = self.landmarks.drop_misfits(smoother.residuals()) if smoother.converged else 0
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
-        self._evaluated_at = smoother.newest
         self._evaluated = smoother.ids, smoother.state.positions
         self.evaluated = True
+        if not self._evaluation_due:  # a landmark came or moved: the rest is about as it was
+            return
+        self._learnt_at = smoother.newest
         work = self._learn_bearings, self._learn_odometry
         self._after_evaluation += [piece for piece in work if piece not in self._after_evaluation]
         if not self.is_window_full:  # takes no time

@@ -436,6 +436,8 @@ class Smoother:
 
     def scale_odometry(self, factors: np.ndarray) -> None:
         """Scale variances of shift and turn by factors (2, 2): of inlier motions, and of all."""
+        if (factors == 1.0).all():
+            return
         for steps in (self._steps.rows, *(part.steps for part in self._closed)):
             scale_steps(steps, factors[0])
         self.variances.rows[:] *= factors[1]
@@ -671,11 +673,12 @@ class Smoother:
             return add_ranges
 
         def add(e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
+            nonlocal at_home
             positions = shared[NC:].reshape(-1, 2)
             if survey.is_given:
                 survey.add_to(e, positions, ids)
             if at_home is not None:
-                self._added = at_home.add_to(e, positions, ids)
+                self._added, at_home = at_home.add_to(e, positions, ids)
             if add_ranges is not None:
                 add_ranges(e, poses, shared)
 

@@ -22,7 +22,13 @@ from homeward.geometry.se2 import between, composition, lever, rotation, sight
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC
 from homeward.localizer.reference.factors import NormalEquations
-from homeward.localizer.tunables import CLOSE_STEPS, HOME_ROUNDING, MINIMAL, ONE_PLACE
+from homeward.localizer.tunables import (
+    CENTRE_CONVERGED,
+    CLOSE_STEPS,
+    HOME_ROUNDING,
+    MINIMAL,
+    ONE_PLACE,
+)
 
 
 class Datum(NamedTuple):
@@ -226,10 +232,11 @@ class HomeFactors(NamedTuple):
         ids, bearings, sigmas = self.ids[kept], self.bearings[kept], self.sigmas[kept]
         return HomeFactors(ids, bearings, sigmas, self.camera, self.offsets[kept])
 
-    def linear(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def linear(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the Jacobian of the landmarks (2 m, m - 3), and the residuals (m - 3,).
 
-        Both are normalised, and the camera's pose is eliminated; `places` (m, 2) [m].
+        Both are normalised, and the camera's pose is eliminated, which comes third, (3,);
+        `places` (m, 2) [m].
         """
         camera = self.camera
         for _ in range(CLOSE_STEPS):
@@ -238,24 +245,30 @@ class HomeFactors(NamedTuple):
             residual = wrap(self.bearings - seen.bearing) / self.sigmas
             by_eye = np.column_stack([-seen.by_place, -np.ones(len(places))])
             by_camera = (by_eye[:, None] @ by_camera)[:, 0] / self.sigmas[:, None]
-            camera = camera + np.linalg.lstsq(by_camera, residual)[0]
+            step = np.linalg.lstsq(by_camera, residual)[0]
+            camera = camera + step
+            if np.abs(by_camera @ step).max() < CENTRE_CONVERGED:
+                break
         rest = np.linalg.qr(by_camera, mode="complete")[0][:, 3:]
         by_place = seen.by_place / self.sigmas[:, None]
         jacobian = (by_place[:, :, None] * rest[:, None]).reshape(-1, rest.shape[1])
-        return jacobian, rest.T @ residual
+        return jacobian, rest.T @ residual, camera
 
-    def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> HomeInformation:
-        """Add them to normal equations of poses, calibration and n landmarks; return the addition.
+    def add_to(
+        self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray
+    ) -> tuple[HomeInformation, HomeFactors]:
+        """Add them to normal equations of poses, calibration and n landmarks.
 
-        `positions` (n, 2) and `ids` (n,), ascending, are of the landmarks.
+        `positions` (n, 2) and `ids` (n,), ascending, are of the landmarks. Returns the addition,
+        and the factors with the camera where these landmarks have it.
         """
         places = positions[np.searchsorted(ids, self.ids)]
-        jacobian, residual = self.linear(places)
+        jacobian, residual, camera = self.linear(places)
         added = HomeInformation(self.ids, jacobian, residual + jacobian.T @ places.ravel())
         at = added.columns(ids, NC)
         e.common[np.ix_(at, at)] += jacobian @ jacobian.T
         e.common_slope[at] += jacobian @ residual
-        return added
+        return added, self._replace(camera=camera)
 
 
 class HomeInformation(NamedTuple):
