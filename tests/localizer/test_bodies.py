@@ -79,7 +79,8 @@ def test_a_survey_reports_moves_of_all_its_landmarks():
         x, y = rig.landmarks[name]
         rig.landmarks[name] = (x - 0.5, y + 0.6)
     known = {"frame": "home", "sigma": 0.02, "landmarks": survey}
-    rig.localizer = Localizer({}, known=known, **rig.settings.robot)
+    odometry = rig.settings.odometry.model_copy(update={"delay_sigma": 0.0})
+    rig.localizer = Localizer({}, known=known, sensor=rig.settings.sensor, odometry=odometry)
     rig.drive(10.0)  # `Rig.check` compares the reported moves
 
 

@@ -62,7 +62,7 @@ def test_a_state_without_them_is_the_one_before():
     before = Marginal(mean, covariance)
 
     e = NormalEquations.zeros(1, NC + 24)
-    added = factors(0.02 * rng.normal(size=6)).add_to(e, before.positions, ids)
+    added, _ = factors(0.02 * rng.normal(size=6)).add_to(e, before.positions, ids)
     information = np.linalg.inv(covariance)
     information[3:, 3:] += e.common
     after = np.linalg.inv(information)

@@ -80,7 +80,7 @@ def test_a_home_known_by_former_places_alone_is_not_verified():
     for stayed, status in ((8, Status.LOCALISED), (2, Status.UNVERIFIED)):
         integrity = IntegrityMonitor(LocalizerSettings(), 0.03)
         integrity.update(now, solved=True, stayed=np.arange(8) < stayed)
-        answer = integrity.estimate(0.0, None, coasting=False)
+        answer = integrity.estimate(0.0, None, np.zeros(3), coasting=False)
         assert answer.status is status
     assert answer.reason.startswith("only 2 of 8")
 

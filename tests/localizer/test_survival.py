@@ -219,7 +219,7 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
     ("lag", "words"), [(0.5, "s after its stamps"), (0.25, "s before its stamp"), (0.1, None)]
 )
 def test_a_lag_is_estimated_and_reported_where_it_matters(lag, words):
-    rig = Rig(ring(10))
+    rig = Rig(ring(10), told=False)  # the covariance contains that the camera may be early
     feel = rig.localizer.odometry
 
     def winding(t):

@@ -81,7 +81,7 @@ def test_the_answer_holds_an_improbable_home_and_is_as_sure_as_before():
     for share in (0.0005, 0.03):
         integrity = IntegrityMonitor(LocalizerSettings(), 0.03)
         integrity.update(Hypotheses((right, few), np.array([1.0 - share, share])), solved=True)
-        answers.append(integrity.estimate(0.0, None, coasting=False))
+        answers.append(integrity.estimate(0.0, None, np.zeros(3), coasting=False))
     assert {a.status for a in answers} == {Status.LOCALISED}
     alone, both = answers
     off = few.in_home_frame[0] - np.array(both.pose)

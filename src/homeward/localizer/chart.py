@@ -15,6 +15,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, Mount
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
+from homeward.geometry.frames import between
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
@@ -24,7 +25,14 @@ from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import OdometryIntegrator, ProcessNoise, calibration_sigmas
-from homeward.localizer.motions import CAMERA_YAW, HEAD, SPEED_SCALE, Motion
+from homeward.localizer.motions import (
+    CAMERA_YAW,
+    DELAY,
+    HEAD,
+    SPEED_SCALE,
+    TIME_CONSTANT,
+    Motion,
+)
 from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.faces import (
     EstimatedCalibration,
@@ -40,6 +48,7 @@ from homeward.localizer.recovery.survey_fix import FirstFix, Resected, Resection
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     ADVANCE_S,
+    MEAN_S,
     MEMORY_OF_LAG_S,
     RESECTION_S,
     SLIP_MEMORY_S,
@@ -247,7 +256,8 @@ class Chart:
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         if motion is not Motion.identity() or self._may_slip(t):
             moved = motion.delta, self.drift(t, motion)
-        found = self._integrity.estimate(t, moved, self.coasts(t), innovations)
+        late = self.between_stamps(t, self._twists)
+        found = self._integrity.estimate(t, moved, late, self.coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
         if found.status in (Status.LOCALISED, Status.COASTING):
@@ -271,6 +281,23 @@ class Chart:
         if self._contradiction.is_proved:
             return self._contradiction.applied(found, state, motion)
         return found
+
+    def between_stamps(self, t: float, twists: TwistHistory) -> np.ndarray:
+        """Motion (3,) up to `t` [s] in the lag of odometry behind the bearings [m, m, rad].
+
+        Its delay, and a time constant that was not given: late bearings look like either. Half of
+        the averaging time of a twist is of the twist's own stamp. Zero where the delay is given:
+        the stamps of the bearings are right then.
+        """
+        given = self.drive.odometry
+        if given.delay_sigma is not None:
+            return np.zeros(3)
+        state = self.map.smoother.state
+        lag = float(state.calibration[DELAY])
+        lag += float(state.calibration[TIME_CONSTANT]) if given.lag is None else 0.0
+        beyond = max(abs(lag) - 0.5 * MEAN_S, 0.0)
+        lag = math.hypot(beyond, math.sqrt(state.calibration_variances[DELAY]))
+        return np.array(between(twists.pose(t - lag), twists.pose(t)))
 
     def drift(self, t: float, motion: Motion) -> np.ndarray:
         """Covariance (3, 3) of a motion from the newest keyframe to `t` [s], with calibration."""

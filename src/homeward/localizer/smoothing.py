@@ -155,9 +155,11 @@ class SolvedDrive:
             integrity.update(now, solved=True, stayed=stayed)
             end = None if then is None else between(Pose(*now.best.pose), Pose(*then.best.pose))
             motions = self.motions(k, times[here].tolist(), end)
+            twists = self.twists(stamps[k] - MAX_LAG_S, times[here[-1]])
             for i, moved in zip(here, motions, strict=True):
                 coasts = chart.coasts(float(times[i]))
-                estimates[i] = integrity.estimate(rows[i].t, moved, coasts)
+                late = chart.between_stamps(float(times[i]), twists)
+                estimates[i] = integrity.estimate(rows[i].t, moved, late, coasts)
         for i in np.flatnonzero(within(self.gaps(), times)).tolist():
             estimates[i] = Estimate(rows[i].t, Status.MAPPING, Reason.LOST.words)
         return estimates

@@ -191,9 +191,7 @@ class Map:
                 break
 
     def _learn_bearings(self) -> None:
-        """Test for changes of the robot, learn from the residuals of bearings, and marginalise."""
-        if self._learner.is_noise_confirmed:
-            self._test_changes()
+        """Learn from the residuals of bearings, and marginalise."""
         if not self.has_doubt:
             self._learner.learn_bearings(self.smoother, self.landmarks)
         self._count_ranges()
@@ -203,6 +201,8 @@ class Map:
 
     def _test_changes(self) -> None:
         """Test the last solution for a knocked camera, and for another scale of the odometry."""
+        if not self._learner.is_noise_confirmed:
+            return
         camera, odometry = self.changes[CAMERA_YAW], self.changes[SPEED_SCALE]
         camera.add_yaw(self.smoother, self._extrinsics.widest(self.smoother.state.scale))
         odometry.add_scale(self.smoother, camera.square)
@@ -456,10 +456,10 @@ class Map:
             smoother.solve()
         self._evaluated = smoother.ids, smoother.state.positions
         self.evaluated = True
-        if not self._evaluation_due:  # a landmark came or moved: the rest is about as it was
-            return
-        self._learnt_at = smoother.newest
-        work = self._learn_bearings, self._learn_odometry
+        work = [self._test_changes]
+        if self._evaluation_due:  # else a landmark came or moved: the rest is about as it was
+            self._learnt_at = smoother.newest
+            work += [self._learn_bearings, self._learn_odometry]
         self._after_evaluation += [piece for piece in work if piece not in self._after_evaluation]
         if not self.is_window_full:  # takes no time
             self.learn(everything=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from homeward.estimator import MIN_AGREEING, Estimate, Innovation, Status
 from homeward.geometry.frames import Pose
+from homeward.geometry.se2 import rotation
 from homeward.geometry.statistics import positive
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
@@ -129,6 +130,7 @@ class IntegrityMonitor:
         self,
         t: float,
         moved: tuple[np.ndarray, np.ndarray] | None,
+        between_stamps: np.ndarray,
         coasting: bool,
         innovations: tuple[Innovation, ...] = (),
     ) -> Estimate:
@@ -141,6 +143,9 @@ class IntegrityMonitor:
         moved : tuple of ndarray, shapes (3,) and (3, 3), or None
             The motion since the keyframe and its covariance, in the robot's frame there [m, m,
             rad]; None at the keyframe itself.
+        between_stamps : ndarray, shape (3,)
+            The motion now [m, m, rad] in the time by which the stamps of odometry and bearings
+            differ. The pose is as the bearings have it; they are as probably stamped wrong.
         coasting : bool
             Whether there are no bearings now.
         innovations : tuple of Innovation
@@ -151,6 +156,9 @@ class IntegrityMonitor:
         estimate, tails = self._estimate.after(moved, self.errors, self._others.tails)
         status, reason = self._status(estimate, self._best, coasting)
         covariance = self.errors.covariance_scale * (estimate.covariance + tails)
+        if between_stamps.any():
+            later = rotation(estimate.pose.heading) @ between_stamps
+            covariance += 0.5 * later[:, None] * later
         terms = float(covariance.trace())
         if moved is not None:
             lever = float(moved[0][:2] @ moved[0][:2])
