@@ -191,7 +191,8 @@ class Map:
                 break
 
     def _learn_bearings(self) -> None:
-        """Learn from the residuals of bearings, and marginalise."""
+        """Test for changes of the robot, learn from the residuals of bearings, and marginalise."""
+        self._test_changes()
         if not self.has_doubt:
             self._learner.learn_bearings(self.smoother, self.landmarks)
         self._count_ranges()
@@ -426,7 +427,8 @@ class Map:
         else:
             self.smoother.solve()
             if self._has_moved():
-                (self._evaluate if self.smoother.converged else self._solve)()
+                is_enough = self.smoother.leaves_view and self.smoother.converged
+                (self._evaluate if is_enough else self._solve)()
         self._num_between = 0
 
     def _has_moved(self) -> bool:
@@ -446,7 +448,10 @@ class Map:
         self._evaluate()
 
     def _evaluate(self) -> None:
-        """Remove landmarks that do not fit the solution, and learn from it where that is due."""
+        """Remove landmarks that do not fit the solution, and learn from it where that is due.
+
+        In a hall, landmarks come into view all the time: then learning keeps its interval.
+        """
         self.busy, smoother = True, self.smoother
         if smoother.converged:
             self.registration.evaluate()
@@ -457,9 +462,9 @@ class Map:
         self._evaluated = smoother.ids, smoother.state.positions
         self.evaluated = True
         work = [self._test_changes]
-        if self._evaluation_due:  # else a landmark came or moved: the rest is about as it was
+        if self._evaluation_due or not smoother.leaves_view:
             self._learnt_at = smoother.newest
-            work += [self._learn_bearings, self._learn_odometry]
+            work = [self._learn_bearings, self._learn_odometry]
         self._after_evaluation += [piece for piece in work if piece not in self._after_evaluation]
         if not self.is_window_full:  # takes no time
             self.learn(everything=True)

@@ -170,7 +170,7 @@ class Smoother:
         """By how much the map has turned since they were linearised [rad]."""
         self._solved_all_at = 0
         """Newest keyframe when all keyframes were solved."""
-        self._leaves_view = False
+        self.leaves_view = False
         """Whether landmarks have left the view, as in a hall."""
         self._drift, self._correlated = drift, correlated
         self._integrated_at = np.array([0.0, mean])
@@ -496,7 +496,7 @@ class Smoother:
         idle = self.ids[~np.isin(self.ids, kept)]
         if idle.size < MIN_IDLE:
             return
-        self._leaves_view = True
+        self.leaves_view = True
         index = self.index(idle)
         at, p_static = self.state.positions[index].ravel(), self.p_static[index]
         self.passive.add(idle, p_static, at, *self._take_out(idle))
@@ -602,7 +602,7 @@ class Smoother:
         frames = self.frames.take_before(first)
         chain = self.poses[:count].copy(), self.stamps[:count]
         self._closed.append(Closed(*chain, rows, frames, self._steps.rows[:count].copy()))
-        longest = LONG_DRIVE if self._leaves_view else LONG_IN_A_ROOM
+        longest = LONG_DRIVE if self.leaves_view else LONG_IN_A_ROOM
         self._can_repeat &= not changes and first < longest
         if not (self._can_repeat or self._keeps_all):
             self._closed = []
