@@ -155,10 +155,11 @@ class IntegrityMonitor:
             return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
         estimate, tails = self._estimate.after(moved, self.errors, self._others.tails)
         status, reason = self._status(estimate, self._best, coasting)
-        covariance = self.errors.covariance_scale * (estimate.covariance + tails)
+        covariance = estimate.covariance + tails
         if between_stamps.any():
             later = rotation(estimate.pose.heading) @ between_stamps
-            covariance += 0.5 * later[:, None] * later
+            covariance = covariance + 0.5 * later[:, None] * later
+        covariance = self.errors.covariance_scale * covariance
         terms = float(covariance.trace())
         if moved is not None:
             lever = float(moved[0][:2] @ moved[0][:2])
