@@ -460,7 +460,8 @@ UNSEEN_S = 2.0
 MAX_CENTRE_STEPS = 20
 """Largest number of steps of the iteration for the centre of hypotheses; few need more than ten."""
 CENTRE_CONVERGED = 1e-3
-"""Step at which the iteration for the centre has converged [standard deviations]."""
+"""Step at which the iteration for a centre, or for the camera at home, has converged [standard
+deviations]."""
 NUM_HALVINGS = 8
 """Bisections for a quantile, which is then known to 0.5 % of a deviation."""
 

@@ -107,7 +107,7 @@ class Map:
         self.begun = t
         self.evaluated = True
         """Whether the newest solution was evaluated: landmarks that do not fit it are dropped, and
-        learning from it is due. That takes long, so it is not done at each keyframe."""
+        learning from it may be due. That takes long, so it is not done at each keyframe."""
         self._evaluated = self.smoother.ids, self.smoother.state.positions
         self._learnt_at = 0
         """Newest keyframe when learning from a solution was due last."""
@@ -427,8 +427,10 @@ class Map:
         else:
             self.smoother.solve()
             if self._has_moved():
-                is_enough = self.smoother.leaves_view and self.smoother.converged
-                (self._evaluate if is_enough else self._solve)()
+                if self.smoother.leaves_view and self.smoother.converged:
+                    self._evaluate()
+                else:
+                    self._solve()
         self._num_between = 0
 
     def _has_moved(self) -> bool:

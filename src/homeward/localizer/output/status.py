@@ -145,7 +145,8 @@ class IntegrityMonitor:
             rad]; None at the keyframe itself.
         between_stamps : ndarray, shape (3,)
             The motion now [m, m, rad] in the time by which the stamps of odometry and bearings
-            differ. The pose is as the bearings have it; they are as probably stamped wrong.
+            differ. The pose is that of the bearings' stamps, and with equal probability those of
+            the odometry are right.
         coasting : bool
             Whether there are no bearings now.
         innovations : tuple of Innovation

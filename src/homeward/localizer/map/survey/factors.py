@@ -235,8 +235,8 @@ class HomeFactors(NamedTuple):
     def linear(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the Jacobian of the landmarks (2 m, m - 3), and the residuals (m - 3,).
 
-        Both are normalised, and the camera's pose is eliminated, which comes third, (3,);
-        `places` (m, 2) [m].
+        Both are normalised, and the camera's pose is eliminated; the third value is that pose,
+        (3,). `places` (m, 2) [m].
         """
         camera = self.camera
         for _ in range(CLOSE_STEPS):
