@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 from test_server import serving
@@ -58,6 +59,32 @@ def test_who_closes_the_pipe_ends_the_session_without_a_word():
                 live.stdin.flush()
         assert live.wait(60.0) == 0
         assert live.stderr.read() == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("words", ["info sample", "--help"])
+def test_a_command_whose_output_cannot_be_written_ends_with_one_line(words):
+    command = [sys.executable, "-m", "homeward", *words.split()]
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    without = subprocess.run(["sh", "-c", '"$@" >&-', "sh", *command], capture_output=True)
+    assert (without.returncode, without.stderr) == (0, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_ends_the_session_with_one_line_and_keeps_its_recording(tmp_path):
+    command = [sys.executable, "-m", "homeward", "live", "--record", str(tmp_path / "r")]
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(
+            command, input=LOOK % 0, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "homeward: standard output: cannot be written: No space left on device; free space there"
+        " or choose another destination\n"
+    )
+    assert (tmp_path / "r" / "session.jsonl").exists()
 
 
 @pytest.mark.parametrize("how", ["closed", "SIGINT", "SIGTERM"])

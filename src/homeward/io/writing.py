@@ -12,6 +12,7 @@ import os
 import re
 import secrets
 import shutil
+import sys
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -32,9 +33,24 @@ UNLOCKED_TIMEOUT_S = 3600.0
 """Where folders cannot be locked, scratch folders of this age are left over [s]."""
 MAX_SYNCED = 200
 """Number of files that are synchronised one by one; more are synchronised with the whole system."""
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_CANNOT_WRITE = (*_FULL, errno.EIO, errno.EBADF)
 _CANNOT_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)
 _checked: set[str] = set()
 """Folders in which this process has looked for abandoned scratch folders."""
+
+
+def is_of_stdout(error: OSError) -> bool:
+    """Whether an error that no other function has handled is of a write to standard output."""
+    return error.filename is None and error.errno in _CANNOT_WRITE
+
+
+def stdout_error(error: OSError) -> InputError:
+    """Return the error of a standard output that cannot be written, and discard what follows."""
+    with open(os.devnull, "w") as nowhere:  # for the rest of the buffer
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+    advice = "free space there or choose another destination" if error.errno in _FULL else None
+    return InputError(f"cannot be written: {error.strerror}", part="standard output", advice=advice)
 
 
 def state_folder() -> Path:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from homeward.errors import HomewardError, InputError
-from homeward.io.writing import state_folder, write_whole
+from homeward.io.writing import state_folder, stdout_error, write_whole
 from homeward.live.inbox import ClientTurn, Inbox, Line, stdin_lines, stop_in, tcp_lines
 from homeward.live.messages import MAX_LINE, EStop, EventOut, Hello, Input, Output, line_of, parse
 from homeward.live.session import Session
@@ -326,13 +326,13 @@ class Server:
         return False
 
     def _print(self, line: str) -> None:
-        """Write a line to stdout; end the server when the reader has closed it."""
+        """Write a line to stdout; end the server when that fails or the reader has closed it."""
         try:
             sys.stdout.write(line)
             sys.stdout.flush()
-        except BrokenPipeError:
-            with open(os.devnull, "w") as nowhere:  # for the rest of the buffer
-                os.dup2(nowhere.fileno(), sys.stdout.fileno())
+        except OSError as error:
+            why = stdout_error(error)
+            self._failure = None if isinstance(error, BrokenPipeError) else why
             self._end()
 
     async def _process_stdin(self, client: _Client) -> None:
