@@ -377,6 +377,18 @@ def test_a_camera_of_90_degrees_identifies_landmarks_out_of_view():
     assert figures["wrong"] == 0.0
 
 
+def test_a_note_says_why_a_narrow_camera_localised_no_pose_and_what_to_do():
+    pair = benchmark.open_hall(2, duration=60.0, field=np.pi / 2, reach=7.0)
+    localizer = Localizer(pair.without.home, **pair.without.settings.robot)
+    track = run(pair.without, localizer)
+    assert Status.LOCALISED not in track.status
+    (note,) = (n for n in track.notes if "No pose could be localised yet" in n)
+    assert "view of 9" in note and "Give ids or classes" in note
+    twice = benchmark.square(0, duration=5.0)  # too early for it
+    localizer = Localizer(twice.without.home, **twice.without.settings.robot)
+    assert not any("localised yet" in n for n in run(twice.without, localizer).notes)
+
+
 def test_home_is_found_among_60_landmarks_while_most_are_new():
     pair = benchmark.open_hall(0, number=60, reach=3.0, duration=45.0)
     localizer = Localizer(pair.without.home, **pair.without.settings.robot)

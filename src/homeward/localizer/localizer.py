@@ -58,10 +58,6 @@ from homeward.sighting_keys import is_unlabelled
 if TYPE_CHECKING:
     from homeward.localizer.unlabelled.front import UnlabelledLandmarks
 
-WITHOUT_IDS_NOTE = (
-    "Landmarks without ids are identified by the map. This is experimental: a pose may be localised"
-    " and wrong for some seconds. Give ids or classes where you can."
-)
 SCALE_NOTE = (
     "Distances have the error of the wheels' speed, often 4 %. One measured distance removes it: in"
     " landmarks.yaml of the drive folder, `distances: [{between: [ID, ID], distance: METRES}]`."
@@ -185,7 +181,7 @@ class Localizer:
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
         ranges = self._range_notes()
         wheels = *self._plausibility.notes, *self._dead.notes
-        without_ids = () if self.unlabelled is None else (WITHOUT_IDS_NOTE,)
+        without_ids = () if self.unlabelled is None else self.unlabelled.notes
         return (
             *without_ids,
             *wheels,

@@ -21,6 +21,8 @@ from homeward.localizer.tunables import (
     MAX_SHARP,
     MIN_HITS,
     MIN_MISSES,
+    NATS_APART,
+    NATS_DIFFERENT,
     NOT_LIVE,
     REPAIR_S,
     TENTATIVE,
@@ -36,6 +38,20 @@ from homeward.localizer.unlabelled.tracks import BearingTrack, Instant, Tracks
 from homeward.odometry.history import Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
 from homeward.sighting_keys import TRACK, class_of, is_unlabelled
+
+
+EXPERIMENTAL_NOTE = (
+    "Landmarks without ids are identified by the map. This is experimental: a pose may be localised"
+    " and wrong for some seconds. Give ids or classes where you can."
+)
+NEVER_PROVEN_NOTE = (
+    "No pose could be localised yet: home bearings have no ids, and may be of other landmarks, too."
+    "{} Give ids or classes to some landmarks, also at home, or drive past those of home again."
+)
+NARROW_NOTE = (
+    " The camera's view of {:.0f} degrees shows few landmarks at once; a wider one, or a second"
+    " camera, distinguishes places sooner."
+)
 
 
 class UnlabelledLandmarks:
@@ -61,6 +77,17 @@ class UnlabelledLandmarks:
     def is_lost(self) -> bool:
         """Whether sightings do not fit the map since a short time."""
         return self._loss.at < math.inf
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user."""
+        reaches = NATS_APART - NATS_DIFFERENT  # of path, after which a home that fits is proven
+        is_early = not self._tracks or self._path < reaches * self.known.reach
+        if is_early or not self.home.is_needed or self.home.was_proven:
+            return (EXPERIMENTAL_NOTE,)
+        view = max(tracks.clutter.width for tracks in self._tracks.values())
+        narrow = NARROW_NOTE.format(math.degrees(view)) if view < math.pi else ""
+        return EXPERIMENTAL_NOTE, NEVER_PROVEN_NOTE.format(narrow)
 
     @property
     def doubt(self) -> Reason | None:

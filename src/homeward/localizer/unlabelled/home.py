@@ -60,6 +60,8 @@ class HomeFinder:
         """Whether home is not one of several equal places."""
         self._size, self._extended_at = 0.0, 0.0
         """Size of the map [m], and path length at which it was extended [m]."""
+        self.was_proven = False
+        """Whether home was proven once."""
 
     @property
     def why(self) -> Reason | None:
@@ -88,6 +90,7 @@ class HomeFinder:
         """
         if not self.is_needed:
             return False
+        self.was_proven |= self.is_proven
         kept = [n for n in names if chart.map.landmarks.mapped[n].sightings >= ESTABLISHED]
         size = float(np.ptp(chart.map.landmarks.positions(kept), axis=0).sum()) if kept else 0.0
         if size > self._size + LINEAR * known.reach:
