@@ -8,7 +8,7 @@ import pytest
 from homeward.drives.columns import words_in
 from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.settings import Wheels
-from homeward.drives.wheels import WRAPPED, wheel_roles
+from homeward.drives.wheels import CONTRADICT, WRAPPED, wheel_roles
 from homeward.errors import InputError
 
 T = np.arange(0.0, 30.0, 0.1)
@@ -217,6 +217,70 @@ def test_an_encoder_that_counts_backwards_is_reported(tmp_path):
     )
     assert_same(corrected.odometry, 4e-3)
     assert not any("opposite directions" in reason for reason in corrected.remarks)
+
+
+def turning(folder):
+    """Write what a robot sees that moves as `V` and `OMEGA`; return the files of it."""
+    heading = np.cumsum(np.append(0.0, OMEGA[:-1] * 0.1))
+    x, y = (np.cumsum(np.append(0.0, V[:-1] * 0.1 * f(heading[:-1]))) for f in (np.cos, np.sin))
+    rows = []
+    for k in range(0, T.size, 2):
+        for i, (a, b) in enumerate(((6.0, 1.0), (-3.0, 5.0), (2.0, -5.0))):
+            angle = np.arctan2(b - y[k], a - x[k]) - heading[k]
+            rows.append(f"{T[k]:.1f},L{i},{math.remainder(angle, 2 * math.pi):.5f}")
+    (folder / "seen.csv").write_text("\n".join(["t,landmark,bearing", *rows, ""]))
+    (folder / "home.csv").write_text("landmark,bearing\nL0,0.165\nL1,2.111\nL2,-1.190\n")
+    return folder / "seen.csv", folder / "home.csv"
+
+
+@pytest.mark.parametrize("names", ["left_angle,right_angle", "fl_angle,fr_angle,rl_angle,rr_angle"])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_motors_mounted_as_mirror_images_are_refused_with_their_columns(tmp_path, names, side):
+    files = turning(tmp_path)
+    count = names.count(",") // 2 + 1
+    lever = 0.2 if count == 1 else 0.45
+    angles = (
+        0.1
+        / 0.05
+        * np.cumsum(
+            np.pad((V + lever * np.array([[-1.0], [1.0]]) * OMEGA)[:, :-1], ((0, 0), (1, 0))),
+            axis=1,
+        )
+    )
+    angles[int(side == "right")] *= -1.0
+    rows = [",".join(map(str, (t, *pair, *pair)[: 1 + 2 * count]))
+            for t, *pair in zip(T, *angles, strict=True)]  # fmt: skip
+    (tmp_path / "wheels.csv").write_text("\n".join([f"t,{names}", *rows, ""]))
+    every = [tmp_path / "wheels.csv", *files]
+    with pytest.raises(
+        InputError, match="opposite directions, which the bearings contradict"
+    ) as no:
+        drive_of(understand(every, wheels=WHEELS), "wheels", wheels=WHEELS)
+    assert no.value.file == tmp_path / "wheels.csv"
+    wrong = [name for name in names.split(",") if f"{side[0]}_" in name or side in name]
+    axles = ("",) if count == 1 else ("front_", "rear_")
+    given = [f"{axle}{side}_wheel=-{name}" for axle, name in zip(axles, wrong, strict=True)]
+    corrected = drive_of(understand(every, given, wheels=WHEELS), "wheels", wheels=WHEELS)
+    assert_same(corrected.odometry, 1e-2)
+    if side == "right":
+        assert f"'{', '.join(given)}' if the right wheels count backwards" in str(no.value)
+
+
+def test_one_wheel_of_a_mecanum_drive_that_counts_backwards_is_reported(tmp_path):
+    names = "fl_ticks,fr_ticks,rl_ticks,rr_ticks"
+    ticks = np.round(MECANUM_TRAVEL * 1000 / (0.1 * np.pi))
+    assert CONTRADICT not in imported(tmp_path, names, *ticks).remarks
+    ticks[2] *= -1.0
+    assert CONTRADICT in imported(tmp_path, names, *ticks).remarks
+
+
+def test_wheels_named_by_their_corner_alone_ask_for_their_unit(tmp_path):
+    with pytest.raises(InputError, match=r"front_left_wheel=fl\[rad\]"):
+        imported(tmp_path, "fl,fr,rl,rr", *MECANUM_TRAVEL / 0.05)
+    roles = [f"{axle}_{side}_wheel={axle[0]}{side[0]}[rad]" for axle in ("front", "rear")
+             for side in ("left", "right")]  # fmt: skip
+    drive = imported(tmp_path, "fl,fr,rl,rr", *MECANUM_TRAVEL / 0.05, roles=roles)
+    assert_same(drive.odometry)
 
 
 def test_boxes_in_an_image_are_no_wheels(tmp_path):

@@ -383,7 +383,8 @@ def test_a_note_says_why_a_narrow_camera_localised_no_pose_and_what_to_do():
     track = run(pair.without, localizer)
     assert Status.LOCALISED not in track.status
     (note,) = (n for n in track.notes if "No pose could be localised yet" in n)
-    assert "view of 9" in note and "Give ids or classes" in note
+    assert "view of 9" in note
+    assert "Give ids or classes" in note
     twice = benchmark.square(0, duration=5.0)  # too early for it
     localizer = Localizer(twice.without.home, **twice.without.settings.robot)
     assert not any("localised yet" in n for n in run(twice.without, localizer).notes)

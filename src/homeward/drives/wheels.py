@@ -18,6 +18,14 @@ FOUR = "front_left", "front_right", "rear_left", "rear_right"
 """The wheels of a mecanum drive."""
 OMNI = "omni_1", "omni_2", "omni_3", "omni_4"
 """Three or four omni wheels, anti-clockwise."""
+CLOSURE = np.array([1.0, 1.0, -1.0, -1.0])
+"""The speeds of `FOUR` by these factors have the sum 0: a body has three degrees of freedom."""
+MAX_MISFIT = 0.25
+"""Maximum of that sum, as a share of the speeds: controllers keep it below a tenth."""
+CONTRADICT = (
+    "odometry rows with four wheels that move as on no mecanum drive; check the signs and the order"
+    " of the wheels: all are positive forward"
+)
 SIDES = {
     **{"left": "left", "l": "left", "lhs": "left", "links": "left"},
     **{"right": "right", "r": "right", "rhs": "right", "rechts": "right"},
@@ -165,6 +173,10 @@ def of_wheels(
     if set(names) <= set(PAIR):
         sides = [speeds[:, [n == side for n in names]].mean(axis=1) for side in PAIR]
         speeds, names = np.stack(sides, axis=1), PAIR
+    if names == FOUR and speeds.size:
+        misfit, moved = np.abs(speeds @ CLOSURE), np.abs(speeds).sum(axis=1)
+        if misfit.sum() > MAX_MISFIT * moved.sum():
+            remarks[CONTRADICT] = int((misfit > MAX_MISFIT * moved).sum())
     # Wheels are symmetric to the centre, so that these columns are orthogonal.
     rolling = _rolling(names, wheels)
     v, vy, omega = ((speeds * by).sum(axis=1) / (by @ by or 1.0) for by in rolling)
@@ -189,6 +201,15 @@ def _rolling(names: Sequence[str], wheels: Wheels) -> np.ndarray:
     if len(names) == len(FOUR):
         sideways, lever = 1.0 / slope, lever + (wheels.wheelbase or math.nan) / slope
     return np.stack([np.ones(len(names)), sideways * side * axle, lever / 2 * side])
+
+
+def with_right_reversed(odometry: Odometry, names: Sequence[str], wheels: Wheels) -> Odometry:
+    """Return the odometry as if the right wheels of `PAIR` or `FOUR` had the opposite sign.
+
+    Without the sideways speed, which does not follow from the odometry.
+    """
+    lever = float(_rolling(names, wheels)[2].max())
+    return Odometry(odometry.t, -lever * odometry.omega, -odometry.v / lever)
 
 
 def swerve(

@@ -31,8 +31,8 @@ from homeward.odometry.validity import MAX_SPEED
 
 FROM_POSES = "odometry rows are poses; twists are computed from their differences"
 OPPOSITE = (
-    "odometry rows with wheels that turn in opposite directions; if one encoder counts backwards, "
-    "use --columns '{}=-{}', or the same for the left one"
+    "odometry rows with left and right wheels that turn in opposite directions; if those of one "
+    "side count backwards, use --columns '{}', or the same for the left"
 )
 SIZES = {"wheel_radius": 0.033, "track_width": 0.16, "ticks_per_turn": 4096, "wheelbase": 0.33}
 EXAMPLE = SIZES | {"omni_radius": 0.2, "modules": "'[[.3,.3],[.3,-.3],[-.3,.3],[-.3,-.3]]'"}
@@ -103,17 +103,31 @@ def _of_wheels(
         problem = f"{name!r} and {right.name!r} do not accumulate"
         advice = f"use --columns '{steps}' for steps from row to row, otherwise '{positions}'"
         raise InputError(problem, table.file, advice=advice)
-    if names != PAIR:
-        return of_wheels(t, speeds, names, wheels, remarks)
-    moving = np.hypot(*speeds.T) > 0.0
-    opposite = int((speeds.prod(axis=1) < 0).sum())
-    if 2 * opposite > moving.sum():
-        remarks[OPPOSITE.format(right.role, right.name)] = opposite
+    if opposite := _opposite_rows(speeds, names):
+        remarks[OPPOSITE.format(reversed_right(columns))] = opposite
     odometry = of_wheels(t, speeds, names, wheels, remarks)
     if (usual := float(np.nanquantile(np.abs(odometry.v), 0.95))) > MAX_SPEED:
         problem = f"the wheels reach {usual:.3g} m/s; check --wheels"
         raise left.unit_error(problem, table.file, in_rad)
     return odometry
+
+
+def _opposite_rows(speeds: np.ndarray, names: Sequence[str]) -> int:
+    """Return the rows whose left and right wheels have opposite signs; 0 where most have not.
+
+    `speeds` are (n, k); the wheels of a side count with their mean, since they differ in sideways
+    motion.
+    """
+    if names[0] in OMNI:
+        return 0
+    left, right = (speeds[:, [side in name for name in names]].mean(axis=1) for side in PAIR)
+    opposite = int((left * right < 0.0).sum())
+    return opposite if 2 * opposite > np.count_nonzero((left != 0.0) | (right != 0.0)) else 0
+
+
+def reversed_right(columns: Iterable[Column]) -> str:
+    """Return the roles of the right wheels with the opposite sign, as for --columns."""
+    return ", ".join(f"{c.role}=-{c.name}" for c in columns if "right" in c.role)
 
 
 def _require(missing: Sequence[str], columns: Iterable[Column], table: Table) -> None:

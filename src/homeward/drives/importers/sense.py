@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from homeward.drives.columns import Column
 from homeward.drives.drive import Drive, Odometry
+from homeward.drives.importers.odometry import OPPOSITE, reversed_right
 from homeward.drives.importers.parts import Imported
 from homeward.drives.importers.pixels import PIXEL_ROLES
 from homeward.drives.senses import (
@@ -19,6 +20,7 @@ from homeward.drives.senses import (
     num_fixed_speeds,
     senses_of,
 )
+from homeward.drives.wheels import FOUR, PAIR, with_right_reversed
 from homeward.drives.wheels import ROLES as WHEELS
 from homeward.errors import InputError
 
@@ -86,6 +88,8 @@ def require_imported_senses(drive: Drive, found: Mapping[str, Imported]) -> Sens
         advice = f"{remedy}, or use --columns 'vy=COLUMN' to import them all the same"
         raise InputError(fault, advice=advice)
     decided = UNDECIDED if is_fixed(seen) else senses_of(drive)
+    if decided.sense is not Sense.RIGHT:
+        _require_sides(drive, odometry)
     if not decided.is_fault:
         return decided
     sided = _sided(seen)
@@ -102,6 +106,28 @@ def require_imported_senses(drive: Drive, found: Mapping[str, Imported]) -> Sens
     fault, remedy = decided.fault
     advice = f"{remedy}, or use --columns '{keep}' to import them all the same"
     raise InputError(fault, seen.table.file, advice=advice)
+
+
+def _require_sides(drive: Drive, odometry: Imported) -> None:
+    """Refuse wheels of which one side counts backwards, according to the bearings."""
+    columns = [c for role, c in odometry.columns.items() if role in WHEELS]
+    sides = {c.role.rpartition("_")[0] for c in columns}
+    names = next((n for n in (PAIR, FOUR) if sides == set(n)), None)
+    words = reversed_right(columns)
+    if names is None or OPPOSITE.format(words) not in drive.remarks:
+        return
+    wheels = drive.settings.wheels
+    if any(c.is_specified for c in columns) or wheels is None or wheels.track_width is None:
+        return
+    other = with_right_reversed(drive.odometry, names, wheels)
+    test = senses_of(replace(drive, odometry=other))
+    if test.sense in (Sense.RIGHT, Sense.REVERSED):
+        problem = "left and right wheels turn in opposite directions, which the bearings contradict"
+        advice = (
+            f"use --columns '{words}' if the right wheels count backwards, or the same for the left"
+            f" ones; '{words.replace('=-', '=')}' if they are right"
+        )
+        raise InputError(problem, odometry.table.file, advice=advice)
 
 
 def _other_way(columns: Mapping[str, Column]) -> str:

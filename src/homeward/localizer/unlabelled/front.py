@@ -39,7 +39,6 @@ from homeward.odometry.history import Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
 from homeward.sighting_keys import TRACK, class_of, is_unlabelled
 
-
 EXPERIMENTAL_NOTE = (
     "Landmarks without ids are identified by the map. This is experimental: a pose may be localised"
     " and wrong for some seconds. Give ids or classes where you can."
