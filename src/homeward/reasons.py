@@ -25,6 +25,9 @@ class Reason(_Words):
     )
     NOT_FIXED = "home is not located well enough yet; drive on, best in an arc"
     SIGNS_REVERSED = "bearings and yaw rates have opposite signs; both must be anti-clockwise"
+    SIDEWAYS_REVERSED = (
+        "bearings contradict the sign of the sideways speed vy, which is positive to the left"
+    )
     CAMERA_YAW = "bearings contradict a camera's yaw on the robot; correct that yaw"
     CAMERA_TURNED = (
         "bearings indicate that the camera was turned on the robot; drive on to determine its yaw"

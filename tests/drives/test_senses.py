@@ -110,9 +110,23 @@ def test_a_robot_that_strafes_or_whose_centre_is_not_its_axle_has_speeds_of_its_
 
 def left_laps(sign):
     """Return a drive of 60 s on straight legs and left bends, with yaw rates times `sign`."""
-    rng, t = np.random.default_rng(5), np.arange(0.0, 60.0, 0.05)
+    t = np.arange(0.0, 60.0, 0.05)
     speed, omega = np.full(t.size, 0.3), np.where(t % 20.0 < 14.0, 0.0, math.pi / 12.0)
     path = dead_reckoning(Odometry(t, speed, omega), t)
+    return seen_from(Odometry(t, speed, sign * omega), path)
+
+
+def strafing(sign):
+    """Return a drive of 60 s with bends to both sides, with sideways speeds times `sign`."""
+    t = np.arange(0.0, 60.0, 0.05)
+    v, omega, vy = 0.3 + 0.0 * t, 0.4 * np.sin(t / 4.0), 0.2 * np.sin(t / 5.0)
+    path = dead_reckoning(Odometry(t, v, omega, vy), t)
+    return seen_from(Odometry(t, v, omega, sign * vy), path)
+
+
+def seen_from(odometry, path):
+    """Return the drive of a robot that is on a path at the stamps of its odometry."""
+    rng, t = np.random.default_rng(5), odometry.t
     frames, angle = np.arange(0, t.size, 4), math.tau * np.arange(10) / 10
     x, y = np.mean(path.x) + 5.0 * np.cos(angle), np.mean(path.y) + 4.0 * np.sin(angle)
     bearing = np.arctan2(y - path.y[frames, None], x - path.x[frames, None])
@@ -120,7 +134,7 @@ def left_laps(sign):
     names = np.array([f"L{k}" for k in range(10)], object)
     home = {n: HomeBearing(float(b)) for n, b in zip(names, np.arctan2(y, x), strict=True)}
     seen = Sightings(np.repeat(t[frames], 10), np.tile(names, frames.size), bearing.ravel())
-    return Drive("", Odometry(t, speed, sign * omega), seen, home, DriveSettings())
+    return Drive("", odometry, seen, home, DriveSettings())
 
 
 def test_a_run_refuses_reversed_bearings_before_its_first_pose(plain, tmp_path):
@@ -144,6 +158,18 @@ def test_a_run_refuses_bends_to_one_side_in_the_mirror(sign, tmp_path):
         opened(run)
     (tmp_path / "drive" / "drive.yaml").write_text("check_senses: false\n", encoding="utf-8")
     assert opened(run).sightings.t.size
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_run_refuses_a_sideways_speed_of_the_wrong_sign_before_its_first_pose(sign, tmp_path):
+    save_drive(strafing(sign), tmp_path / "drive")
+    run = RunSettings(drive=str(tmp_path / "drive"))
+    assert senses_of(open_drive(tmp_path / "drive")).sense is Sense.RIGHT
+    if sign > 0:
+        assert opened(run).sightings.t.size
+        return
+    with pytest.raises(InputError, match=r"Multiply vy by -1; or set check_senses: false"):
+        opened(run)
 
 
 def rounds(seed):

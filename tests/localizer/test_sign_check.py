@@ -73,12 +73,24 @@ def round_and_round(_):
     return Twist(0.5, 0.25)
 
 
-def test_a_sideways_speed_to_the_right_is_named_next_to_the_yaw():
+def test_a_sideways_speed_to_the_right_is_named_and_no_yaw():
     found = watched(weave, NEAR, vy=0.2, aside=-1.0)
     assert found.is_wrong
-    assert "vy, which is positive to the left, has the wrong sign" in found.note()
+    assert found.is_sideways_reversed
+    assert "the sideways speed vy, which is positive to the left" in found.note()
+    assert "yaw" not in found.note()
     assert "vy" not in watched(weave, NEAR, yaw=0.0, off=1.5).note()
-    assert not watched(weave, NEAR, vy=0.2).is_wrong
+    right = watched(weave, NEAR, vy=0.2)
+    assert right.is_sideways_confirmed
+    assert not right.is_wrong
+
+
+@pytest.mark.parametrize("law", [eight, round_and_round, weave, backward])
+@pytest.mark.parametrize("vy", [-0.2, 0.02, 0.2])
+@pytest.mark.parametrize("turn_scale", [0.8, 1.0, 1.2])
+def test_a_right_sideways_speed_is_never_accused(law, vy, turn_scale):
+    found = watched(law, NEAR, 0.02, 0.02, vy=vy, turn_scale=turn_scale)
+    assert not found.is_doubtful
 
 
 @pytest.mark.parametrize("law", [eight, backward, round_and_round, lambda _: Twist(0.0, 0.5)])

@@ -150,8 +150,8 @@ def import_(
         drive = drive_of(found, name, when, geometry, on_progress, home_needed=home_needed)
     write_whole(picture, png(draw_drive(drive)))
     senses = sense_warnings(drive, found)
-    if senses and (reversed_ := note_of_whole(drive)):
-        senses = [f"{reversed_} {OTHER_WAY}"]
+    if (senses or drive.odometry.strafes) and (reversed_ := note_of_whole(drive)):
+        senses = [f"{reversed_} {OTHER_WAY}" if senses else reversed_]
     remarks = [*drive.remark_lines, *senses]
     remarks += home_warnings(drive) if home_needed else []
     if out is not None:

@@ -2,7 +2,8 @@
 
 Wrong conventions give a consistent map, with a pose that is consistent and wrong: clockwise
 bearings give its mirror image, and a wrong yaw a map that is turned against the direction of
-travel. The right convention is the one in which landmarks have positive distances. With the
+travel. So is one with a sideways speed of the wrong sign. The right convention is the one in which
+landmarks have positive distances. With the
 rotation from odometry removed, a static landmark moves away from the direction of travel, at any
 distance. So a wrong yaw needs negative distances, and a wrong sense of rotation fits no distance.
 Each camera is tested on its own, since one of several may have another convention.
@@ -49,7 +50,7 @@ from homeward.odometry.history import dead_reckoning_unwrapped
 from homeward.reasons import Reason
 from homeward.sighting_keys import is_followed
 
-ANTI_CLOCKWISE = "both must be anti-clockwise."
+ANTI_CLOCKWISE, SIDEWAYS = "both must be anti-clockwise.", "Multiply vy by -1."
 _YAWS = YAW_STEP * np.arange(round(math.tau / YAW_STEP))
 _ACROSS = np.array([-np.sin(_YAWS), np.cos(_YAWS)])
 """(2, k): real and imaginary part of a complex number to the imaginary part, turned back."""
@@ -76,11 +77,18 @@ class SignChecks:
         return any(check.is_confirmed for check in self._by_camera.values())
 
     @property
+    def is_sideways_confirmed(self) -> bool:
+        """Whether the sign of the sideways speed is confirmed by a camera."""
+        return any(check.is_sideways_confirmed for check in self._by_camera.values())
+
+    @property
     def reason(self) -> Reason | None:
         """Why the convention of a camera is too improbable to give a pose; None: none is."""
         doubtful = [check for check in self._by_camera.values() if check.is_doubtful]
         if not doubtful:
             return None
+        if doubtful[0].is_sideways_reversed:
+            return Reason.SIDEWAYS_REVERSED
         return Reason.SIGNS_REVERSED if doubtful[0].is_reversed else Reason.CAMERA_YAW
 
     @property
@@ -111,11 +119,14 @@ class SignChecks:
 def note_of_whole(drive: Drive) -> str:
     """Return the note on a recorded drive whose bearings and odometry rotate in opposite senses.
 
-    For drives that `homeward.drives.senses` leaves undecided, as with bends to one side only: the
-    check of the localiser, which uses the parallax. Empty where it confirms the sense of a camera
-    at any time: a fault of the odometry may reverse a part of a drive.
+    Or on one whose sideways speed has the wrong sign. For drives that `homeward.drives.senses`
+    leaves undecided, as with bends to one side only: the check of the localiser, which uses the
+    parallax. Empty where it confirms the sense of a camera at any time: a fault of the odometry may
+    reverse a part of a drive.
     """
-    is_decided = not drive.settings.check_senses or senses_of(drive).sense is not None
+    strafes = drive.odometry.strafes
+    is_decided = not strafes and senses_of(drive).sense is not None
+    is_decided |= not drive.settings.check_senses
     if is_decided or not (drive.odometry.t.size and drive.sightings.t.size):
         return ""
     stamps = drive.sightings.t[drive.sightings.begins]
@@ -124,19 +135,23 @@ def note_of_whole(drive: Drive) -> str:
     turned = dead_reckoning_unwrapped(drive.odometry, times.ravel())
     reckoned = np.stack([turned.heading, path.x, path.y], axis=1).reshape(*times.shape, 3)
     frames = zip(drive.sightings.stamps(), drive.sightings.cameras(), reckoned, strict=True)
-    checks = SignChecks(drive.settings)
+    checks, was_confirmed = SignChecks(drive.settings), False
     for (t, seen, _), camera, here in frames:
         followed = {n: b for n, b in seen.items() if is_followed(n) and math.isfinite(b)}
         if followed and t >= drive.odometry.t[0]:
             checks.bearings(t, camera, followed, here.T)
-            if checks.is_confirmed:
+            was_confirmed |= checks.is_confirmed
+            if was_confirmed and (not strafes or checks.is_sideways_confirmed):
                 return ""
     # Where a yaw of the camera seems wrong, too, it may be the only error.
-    return next((note for note in checks.notes if note.endswith(ANTI_CLOCKWISE)), "")
+    endings = (SIDEWAYS,) if was_confirmed else (ANTI_CLOCKWISE, SIDEWAYS)
+    return next((note for note in checks.notes if note.endswith(endings)), "")
 
 
 class SignCheck:
     """Bayesian comparison of both senses of rotation and of all yaws of a camera.
+
+    As soon as the odometry has a sideways speed, the opposite sign of that is a third sense.
 
     Each hypothesis also has a scale of the odometry's yaw rate, which is the same in all windows.
     In each window, every landmark has a direction and an inverse distance that is not negative,
@@ -161,19 +176,18 @@ class SignCheck:
         wrong = GIVEN_WRONG / np.count_nonzero(~self._right)
         share = (1.0 - GIVEN_WRONG) / np.count_nonzero(self._right)
         self._joint = _scale_prior()[:, None, None] * np.where(self._right, share, wrong)
-        """(s, 2, k): probability by scale of the yaw rate, of anti-clockwise and clockwise
-        bearings, by yaw minus the assumed one."""
+        """(s, c, k): probability by scale of the yaw rate, of anti-clockwise and clockwise bearings
+        and, once the odometry strafes, of its opposite sideways speed, by yaw minus the assumed
+        one."""
         unusual = np.abs(np.log(SIGN_TURN_SCALES)) > OdometryDefaults().turn_scale
-        self._doubly_wrong = ~self._right & unusual[:, None, None]
-        """(s, 2, k): where the scale has an error of more than a standard deviation, too."""
+        self._is_unusual = unusual[:, None, None]
+        """(s, 1, 1): where the scale has an error of more than a standard deviation."""
         self.is_doubtful = False
         """Whether the convention is too improbable to give a pose."""
         self._before: np.ndarray | None = None
-        self._place, self._turned, self._has_turned = (
-            np.zeros((_SCALES.size, SIGN_LAGS_S.size), complex),
-            0.0,
-            False,
-        )
+        self._place = np.zeros((2, _SCALES.size, SIGN_LAGS_S.size), complex)
+        """Positions by the sideways speed as given, and by its opposite [m]."""
+        self._turned, self._has_turned = 0.0, False
         self._strafes = False
         """Whether the odometry has a sideways speed."""
         self._since = -math.inf
@@ -181,11 +195,11 @@ class SignCheck:
         self._rows: list[tuple[int, int, float]] = []
         """Sightings of the window: number of the landmark, number of the frame, bearing [rad]."""
         self._frames: list[tuple[np.ndarray, np.ndarray]] = []
-        """Its frames: heading [rad] and position of the camera [m], complex, (s, l) each."""
+        """Its frames: heading (s, l) [rad] and positions of the camera (2, s, l) [m], complex."""
 
     @property
     def _probability(self) -> np.ndarray:
-        """(2, k): probability with any scale of the yaw rate."""
+        """(c, k): probability with any scale of the yaw rate."""
         return np.asarray(self._joint.sum(axis=0))
 
     @property
@@ -195,13 +209,23 @@ class SignCheck:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether all other conventions are rejected."""
-        return float(self._probability[~self._right].sum()) < SIGN_FALSE_ALARM
+        """Whether all other conventions of bearings are rejected."""
+        return float(self._probability[:2][~self._right[:2]].sum()) < SIGN_FALSE_ALARM
+
+    @property
+    def is_sideways_confirmed(self) -> bool:
+        """Whether the opposite sideways speed is rejected, if there is one."""
+        return self._strafes and float(self._probability[2:].sum()) < SIGN_FALSE_ALARM
 
     @property
     def is_reversed(self) -> bool:
         """Whether bearings and odometry rotate in opposite senses, if the convention is wrong."""
         return self.is_doubtful and bool(self._probability[1].sum() > 0.5)
+
+    @property
+    def is_sideways_reversed(self) -> bool:
+        """Whether the sideways speed has the wrong sign, if the convention is wrong."""
+        return self.is_doubtful and bool(self._probability[2:].sum() > 0.5)
 
     @property
     def yaw_error(self) -> float:
@@ -210,7 +234,7 @@ class SignCheck:
         For clockwise bearings, that is the yaw after their sign is changed. A multiple of 90
         degrees is given where the data do not exclude it.
         """
-        weight = self._probability[1 if self.is_reversed else 0]
+        weight = self._probability[1 if self.is_reversed else 2 if self.is_sideways_reversed else 0]
         near = np.exp(1j * (_YAWS - _YAWS[weight.argmax()]))
         peak = np.where(near.real > math.cos(2.5 * YAW_STEP), weight, 0.0)
         yaw = float(np.angle(peak @ np.exp(1j * _YAWS)))
@@ -235,6 +259,13 @@ class SignCheck:
                 f" {line} in drive.yaml, or multiply the turn rates by -1 and set"
                 f" {self._line(-given - error)}."
             )
+        is_yaw_right = abs(error) <= (self._tolerance + 0.5) * YAW_STEP
+        if self.is_sideways_reversed and is_yaw_right:
+            return (
+                f"The bearings{other} do not fit the sideways speed vy, which is positive to the"
+                " left: they fit its opposite. No pose is given until this is corrected."
+                f" {SIDEWAYS}"
+            )
         words = (
             f"The bearings{other} do not fit {whose} yaw on the robot, {_degrees(given)}: they"
             f" fit {_degrees(given + error)}. No pose is given until this is corrected. Set {line}"
@@ -242,11 +273,6 @@ class SignCheck:
         )
         if abs(error) > math.pi - (self._tolerance + 0.5) * YAW_STEP:
             words += "; or, if that yaw is right, the speed v has the wrong sign: multiply it by -1"
-        elif self._strafes:
-            words += (
-                "; or, if that yaw is right, the sideways speed vy, which is positive to the left,"
-                " has the wrong sign: multiply it by -1"
-            )
         return words + "."
 
     def _line(self, yaw: float) -> str:
@@ -265,10 +291,12 @@ class SignCheck:
         turn, ahead, left = np.zeros_like(reckoned) if before is None else reckoned - before
         heading = _SCALES * reckoned[0]
         middle = heading - _SCALES * turn / 2.0
-        self._place = self._place + (ahead + 1j * left) * np.exp(1j * middle)
+        ways = np.stack([ahead + 1j * left, ahead - 1j * left])[:, None]
+        self._place = self._place + ways * np.exp(1j * middle)
         self._turned += abs(float(turn[0]))
         self._has_turned |= bool(turn[0] != 0.0)
-        self._strafes |= bool(left.any())
+        if left.any() and not self._strafes:
+            self._add_sideways_sense()
         if not self._rows:
             self._since, self._turned = t, 0.0
         camera = self._place + np.exp(1j * heading) * complex(self._sensor.x, self._sensor.y)
@@ -284,15 +312,23 @@ class SignCheck:
                 self._weigh()
             self._rows, self._frames, self._index = [], [], {}
 
+    def _add_sideways_sense(self) -> None:
+        """Begin to compare the opposite sideways speed, as probable as other wrong conventions."""
+        self._strafes = True
+        opposite = GIVEN_WRONG * np.where(self._right[:1], self._joint[:, :1], 0.0)
+        self._joint = np.concatenate([self._joint, opposite], axis=1)
+        self._joint /= self._joint.sum()
+        self._right = np.concatenate([self._right, np.zeros_like(self._right[:1])])
+
     def _weigh(self) -> None:
         """Update the probabilities by the window."""
         columns = zip(*sorted(self._rows), strict=True)
         index, frame, beta = _thinned(*(np.array(column) for column in columns))
         heading, camera = (np.array(values) for values in zip(*self._frames, strict=True))
         turned = (heading - heading[0])[frame]
-        place, yaw = (camera * np.exp(-1j * heading[0]))[frame], self._sensor.yaw
+        places, yaw = (camera * np.exp(-1j * heading[0]))[frame].swapaxes(0, 1), self._sensor.yaw
         unscaled = int(np.abs(SIGN_TURN_SCALES - 1.0).argmin())
-        as_given, way = turned[:, unscaled, 0], place[:, unscaled, 0]
+        as_given, way = turned[:, unscaled, 0], places[0, :, unscaled, 0]
         path, turn = np.abs(way - way[0]).max(), np.abs(as_given).max()
         if path < SIGN_MIN_PATH and turn < SIGN_MIN_TURN:
             return
@@ -303,10 +339,13 @@ class SignCheck:
             and seen.std() < STAYING_SHARE * landmarks.centred(as_given)[0].std()
         ):
             return
-        logs = _log_likelihood(landmarks, (beta + yaw, yaw - beta), turned, place)
+        logs = _log_likelihood(landmarks, (beta + yaw, yaw - beta), turned, places[0])
+        if self._strafes:
+            opposite = _log_likelihood(landmarks, (beta + yaw,), turned, places[1])
+            logs = np.concatenate([logs, opposite], axis=1)
         # Two sightings fit any direction and distance, and are no evidence.
         penalty = 0.5 * math.log(NUM_INDEPENDENT_ERRORS) * np.count_nonzero(landmarks.num > 2)
-        logs -= penalty * self._doubly_wrong[:, :, None]
+        logs -= penalty * (~self._right & self._is_unusual)[:, :, None]
         likelihood = np.exp(logs - logs.max()).sum(axis=2)
         likelihood /= likelihood.sum(axis=(1, 2)).max()
         mixed = (1.0 - BAD_WINDOW) * likelihood + BAD_WINDOW / self._right.size
@@ -358,9 +397,9 @@ class _Groups:
 def _log_likelihood(
     landmarks: _Groups, senses: tuple[np.ndarray, ...], heading: np.ndarray, camera: np.ndarray
 ) -> np.ndarray:
-    """Return the log-likelihood (s, 2, l, k) of each scale, sense, lag and yaw error in a window.
+    """Return the log-likelihood (s, c, l, k) of each scale, sense, lag and yaw error in a window.
 
-    Of each sighting: bearing (n,) from the robot's axis, in both `senses`; by scale and lag,
+    Of each sighting: bearing (n,) from the robot's axis, in the c `senses`; by scale and lag,
     (n, s, l), the robot's `heading` since the first [rad], and position of the `camera` in the
     robot's frame at the first, complex [m].
     """
