@@ -177,6 +177,18 @@ def test_positions_with_unknown_axes_are_refused(tmp_path, plain, head, row, col
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tags.csv"]
 
 
+def test_a_camera_frame_with_x_ahead_is_not_read_as_optical_axes(tmp_path, plain):
+    """As of camera_link (REP 103), with tags high above the camera."""
+    seen = positions(plain, is_in_front=True)
+    frame, head = "camera_link", "t,id,frame_id,x,y,z"
+    body = [(t, n, frame, f, le, 4 + 9 * up) for t, n, _, f, le, up in seen]
+    optical = [(t, n, frame, -le, -4 - 9 * up, f) for t, n, _, f, le, up in seen]
+    with pytest.raises(InputError, match="positions in unknown axes"):
+        understand(files(tmp_path, write(tmp_path, "tags.csv", head, body)))
+    _, shown = bearings(files(tmp_path, write(tmp_path, "tags.csv", head, optical)))
+    assert shown == "atan2(-x, z); frame 'camera_link'"
+
+
 @pytest.mark.parametrize("head", ["t,x,y,heading,source_id,robot_id", "t,x,y,yaw,cell_x"])
 def test_poses_with_other_columns_stay_poses(tmp_path, head):
     rows = [(k, 0.1 * k, 0.0, 0.1, 1, 2)[: head.count(",") + 1] for k in range(9)]

@@ -194,7 +194,9 @@ def _axes_of(
         return Axes(like.kind, "axes as in detections")
     if kind != "home" and by_data and not any("optical" in frame for frame in frames):
         return by_data
-    if frames and could_be["camera"] and all("camera" in frame for frame in frames):
+    # A frame as camera_link has x ahead (REP 103), although many detectors have z ahead there.
+    is_camera = could_be["camera"] and not _is_in_front(values["x"])
+    if frames and is_camera and all("camera" in frame for frame in frames):
         return Axes("camera", known)
     raise _unknown(values, by_axis, one, kind)
 
