@@ -68,6 +68,7 @@ def assert_same(drive):
         {"angles": ("bearing [gon]", math.pi / 200)},
         {"angles": ("bearing [Grad]", math.pi / 180)},
         {"angles": ("bearing_turns", math.tau)},
+        {"angles": ("angle_cdeg", math.pi / 18000)},
     ],
 )
 def test_columns_in_other_units_are_the_same_drive(tmp_path, changed):
@@ -107,6 +108,20 @@ def test_bearings_up_to_400_are_not_taken_for_degrees(tmp_path):
     with pytest.raises(InputError, match=r"too much for degrees .*\[gon\]' or \[deg\]"):
         imported(paths)
     assert_same(imported(paths, "bearing=bearing[gon]"))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mrad", 1e-3), ("cdeg", math.pi / 18000)])
+def test_whole_numbers_of_a_smaller_unit_are_not_taken_for_degrees_over_many_turns(
+    tmp_path, unit, factor
+):
+    paths = files(tmp_path, angles=("bearing", factor))
+    head, *rows = paths[1].read_text().splitlines()
+    cells = [row.rsplit(",", 1) for row in rows]
+    rows = [f"{before},{round(float(last))}" for before, last in cells]
+    paths[1].write_text("\n".join([head, *rows]))
+    with pytest.raises(InputError, match=r"too much for degrees .*\[mrad\]' or \[cdeg\]"):
+        imported(paths)
+    assert imported(paths, f"bearing=bearing[{unit}]").sightings.t.size
 
 
 def wide(folder, names, more=""):

@@ -28,7 +28,10 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "speed": _SPEEDS,
     "rate": _RATES,
-    "angle": {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "gon": math.pi / 200, "rev": math.tau},
+    "angle": {
+        **{"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "gon": math.pi / 200, "rev": math.tau},
+        **{"cdeg": _DEG / 100, "mdeg": _DEG / 1000},
+    },
     "length": _LENGTHS,
     "wheel": {"ticks": 1.0, "rad": 1.0, "deg": _DEG, "rev": math.tau, **_LENGTHS},
     "wheel speed": {**_SPEEDS, "ticks/s": 1.0, **_RATES},

@@ -33,6 +33,8 @@ MIN_FIT = 0.7
 """Minimum fit of a path along its headings [1]; random directions have 0."""
 FULL_TURN_DEG, FULL_TURN_GON = 366.0, 400.5
 """Largest bearings of one turn in degrees, with some excess, and in gon; more count the turns."""
+MAX_TURNS_DEG = 3600.0
+"""Largest bearings in degrees that count the turns; whole numbers do not."""
 MAX_RATE = 2000.0
 """Rows a second beyond which stamps have another unit than those of the odometry."""
 MAX_TILT = 0.5
@@ -230,9 +232,12 @@ def _unit(
         unit = _heading_unit(table["x"], table["y"], column.sign * table["heading"])
         if unit is not None:
             return unit, "guessed: along the path"
-    if column.role == "bearing" and FULL_TURN_DEG < largest <= FULL_TURN_GON:
+    is_whole = bool((values == np.round(values)).all())
+    counts_turns = FULL_TURN_GON < largest < MAX_TURNS_DEG and not is_whole
+    if column.role == "bearing" and largest > FULL_TURN_DEG and not counts_turns:
         problem = f"{column.name!r} reaches {largest:.6g}, too much for degrees of one turn"
-        raise column.unit_error(problem, table.file, "gon", "deg")
+        likely = ("gon",) if largest <= FULL_TURN_GON else ("mrad", "cdeg")
+        raise column.unit_error(problem, table.file, *likely, "deg")
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:
