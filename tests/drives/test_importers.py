@@ -274,6 +274,11 @@ ODDITIES = {
         "bearings": "Zeit;Landmarke;Peilung\n0,25;L1;0,5\n0,25;L2;-1,25\n0,75;L1;0,75\n",
         "home": "Marke;Winkel (°)\nL1;14,32394487827058\nL2;-28,64788975654116\n",
     },
+    "French": {
+        "odometry": "temps;vitesse;vitesse angulaire\n0;0,1;0,2\n0,5;0,2;-0,1\n1;0,3;0\n",
+        "bearings": "Temps;Balise;Relèvement\n0,25;L1;0,5\n0,25;L2;-1,25\n0,75;L1;0,75\n",
+        "home": "Balise;Angle (°)\nL1;14,32394487827058\nL2;-28,64788975654116\n",
+    },
     "a column a landmark": {
         "bearings": "t,L1,L2\n0.25,0.5,-1.25\n0.75,0.75,\n",
         "home": "L1,L2\n0.25,-0.5\n",

@@ -59,7 +59,7 @@ _AMBIGUOUS = ("mil", "mils", "turn")
 """Units with two meanings, or names of roles."""
 _NO_UNITS = ("x", "y", "z", "w")
 """Texts in square brackets that are no unit but an axis."""
-LANDMARKS = "landmark tag marker beacon landmarke marke"
+LANDMARKS = "landmark tag marker beacon landmarke marke balise marqueur amer"
 """Names of a landmark, which a number may follow: the column then has its bearings."""
 GYRO = "gyro.z gyroz gyro gz"
 """Names of the yaw rate of a gyroscope."""
@@ -67,13 +67,13 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
         "t time timestamp stamp utime clock date datetime sec secs seconds ms millis us micros "
-        "zeit zeitstempel datum uhrzeit",
+        "zeit zeitstempel datum uhrzeit temps horodatage",
     ),
     "v": (
         "speed",
         "v vel velocity speed linear.x linear vx vel.vx v.x velocity.x vel.x lin.vel forward "
         "linear.velocity.x forward.velocity forward.speed linear.velocity linear.speed "
-        "geschwindigkeit",
+        "geschwindigkeit vitesse vitesse.lineaire vitesse.linéaire",
     ),
     "vy": (
         "speed",
@@ -84,7 +84,8 @@ ROLES: Mapping[str, tuple[str, str]] = {
         "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.velocity.z "
         "angular.speed ang.vel rot.vel v.th v.theta vth vtheta "
         "velocity.yaw omega.z omegaz w.z wz om theta.dot yaw.dot "
-        f"{GYRO} drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate",
+        f"{GYRO} drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate "
+        "vitesse.angulaire vitesse.rotation vitesse.de.rotation",
     ),
     "landmark": (
         "name",
@@ -93,7 +94,8 @@ ROLES: Mapping[str, tuple[str, str]] = {
     ),
     "bearing": (
         "angle",
-        "bearing azimuth angle direction beta phi theta alpha peilung winkel richtung",
+        "bearing azimuth angle direction beta phi theta alpha peilung winkel richtung gisement "
+        "azimut relèvement",
     ),
     "sigma": ("angle", "sigma std stddev deviation bearing.sigma bearing.std"),
     "range": ("length", "range distance dist depth r"),
@@ -101,7 +103,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "x": ("length", "x px tx pos.x position.x translation.x"),
     "y": ("length", "y py ty pos.y position.y translation.y"),
     "z": ("length", "z pz tz pos.z position.z translation.z"),
-    "heading": ("angle", "heading yaw theta orientation psi phi angle kurs"),
+    "heading": ("angle", "heading yaw theta orientation psi phi angle kurs cap"),
     "roll": ("angle", "roll roll.angle"),
     "pitch": ("angle", "pitch pitch.angle"),
     "elevation": ("angle", "elevation elevation.angle"),
@@ -124,7 +126,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
     **{f"{role}{k}": ("pixel", "") for k in range(4) for role in ("column", "row")},
     **{role: ("pixel", role) for role in ("fx", "fy", "cx", "cy")},
 }
-"""The quantity of each role, and English and German names for it; a dot matches any separator.
+"""The quantity of each role, and English, German and French names for it; a dot matches any separator.
 
 Pixels are a column and a row; those with a number are corners of a tag."""
 _ROLES: dict[tuple[str, ...], list[str]] = {}
