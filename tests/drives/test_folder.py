@@ -16,6 +16,7 @@ from homeward.drives.folder import (
     write_folder,
 )
 from homeward.drives.ids import REPEATED_SIGHTINGS
+from homeward.drives.importers.reading import understand
 from homeward.drives.settings import DriveSettings
 from homeward.io.table import CHUNK
 
@@ -240,6 +241,14 @@ def test_a_last_row_that_is_cut_off_is_left_out_with_a_remark(tmp_path, end):
     assert drive.remarks["last row of odometry.csv, which is cut off and left out"] == 1
     folder = put(tmp_path / "more", odometry_csv=rows + end + b"\n0.3,1.0,0.0\n")
     assert refusal(read_folder, folder).startswith("odometry.csv, row 4: ")
+
+
+@pytest.mark.parametrize("end", [b"", b"0.2,1.0,"])
+def test_null_characters_of_a_power_failure_are_left_out(tmp_path, end):
+    rows = b"t,v,omega\n0,1.0,0.0\n0.1,1.0,0.0\n" + end + 5000 * b"\0"
+    drive = read_folder(put(tmp_path / "run", odometry_csv=rows))
+    assert drive.odometry.t.tolist() == [0.0, 0.1]
+    assert set(understand([tmp_path / "run" / "odometry.csv"])) == {"odometry"}
 
 
 def test_headers_of_joined_files_are_left_out_with_a_remark(tmp_path):

@@ -124,6 +124,25 @@ def test_whole_numbers_of_a_smaller_unit_are_not_taken_for_degrees_over_many_tur
     assert imported(paths, f"bearing=bearing[{unit}]").sightings.t.size
 
 
+def test_standard_deviations_in_degrees_next_to_bearings_in_rad_ask_for_their_unit(tmp_path):
+    paths = files(tmp_path)
+    head, *rows = paths[1].read_text().splitlines()
+    paths[1].write_text("\n".join([f"{head},sigma", *(f"{row},0.6" for row in rows)]))
+    with pytest.raises(InputError, match=r"may be in degrees; .*'sigma=sigma\[deg\]' or \[rad\]"):
+        imported(paths)
+    drive = imported(paths, "sigma=sigma[deg]")
+    assert drive.sightings.sigma == pytest.approx(math.radians(0.6))
+
+
+def test_single_spikes_of_the_speed_are_no_other_unit(tmp_path):
+    paths = files(tmp_path)
+    head, *rows = paths[0].read_text().splitlines()
+    t, _, *rest = rows[10].split(",")
+    rows[10] = ",".join([t, "50.0", *rest])
+    paths[0].write_text("\n".join([head, *rows]))
+    assert any("implausible motion" in words for words in imported(paths).remarks)
+
+
 def wide(folder, names, more=""):
     """The sightings with one column for each landmark, as such a program names it."""
     odometry, _ = files(folder)

@@ -126,9 +126,10 @@ ROLES: Mapping[str, tuple[str, str]] = {
     **{f"{role}{k}": ("pixel", "") for k in range(4) for role in ("column", "row")},
     **{role: ("pixel", role) for role in ("fx", "fy", "cx", "cy")},
 }
-"""The quantity of each role, and English, German and French names for it; a dot matches any separator.
+"""The quantity of each role, and English, German and French names for it.
 
-Pixels are a column and a row; those with a number are corners of a tag."""
+A dot matches any separator. Pixels are a column and a row; those with a number are corners of a
+tag."""
 _ROLES: dict[tuple[str, ...], list[str]] = {}
 for _role, (_, _words) in ROLES.items():
     for _word in _words.split():

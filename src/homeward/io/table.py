@@ -336,15 +336,19 @@ def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[Iterator[str
 
 
 def _checked(stream: IO[str], path: Path) -> Iterator[str]:
-    """Yield the lines of a file; `InputError` for one that is too long or not UTF-8."""
+    """Yield the lines of a file; `InputError` for one that is too long or not UTF-8.
+
+    Without null characters at their ends, which a power failure leaves.
+    """
     for row in itertools.count(1):
-        line = stream.readline(MAX_LINE)
+        if not (read := stream.readline(MAX_LINE)):
+            return
+        if not (line := read.strip("\0")):
+            continue
         if len(line) == MAX_LINE:
             raise InputError(f"a line of {MAX_LINE:,} characters or more", path, row)
         if not line.isascii() and _UNDECODABLE.search(line):
             raise InputError("not UTF-8 text", path, row)
-        if not line:
-            return
         yield line
 
 

@@ -37,6 +37,10 @@ MAX_TURNS_DEG = 3600.0
 """Largest bearings in degrees that count the turns; whole numbers do not."""
 MAX_RATE = 2000.0
 """Rows a second beyond which stamps have another unit than those of the odometry."""
+USUAL = 0.95
+"""Share of the speeds that are no spikes."""
+MAX_SIGMA = 0.2
+"""Usual standard deviation of bearings without a unit beyond which it may be in degrees [rad]."""
 MAX_TILT = 0.5
 """Roll and pitch without a unit beyond it may be in degrees [rad]."""
 
@@ -208,6 +212,10 @@ def _unit(
             return (usual, "as odometry") if mine >= other else (guess, "guessed")
         return guess, "guessed"
     if column.role == "sigma" and angle:
+        middle = float(np.median(values)) if values.size else 0.0
+        if angle == "rad" and middle > MAX_SIGMA:
+            problem = f"{column.name!r} is {middle:.3g} in the median and may be in degrees"
+            raise column.unit_error(problem, table.file, "deg", "rad")
         return angle, "as bearing"
     if column.quantity in ("wheel", "wheel speed"):
         unit = guessed_unit(words_in(column.name), column.quantity, values)
@@ -247,7 +255,9 @@ def _unit(
             )
             raise column.unit_error(problem, table.file, "rad", angle)
         return angle, "as bearings"
-    if column.si == "m/s" and largest > MAX_SPEED:
+    # Single spikes are left out later.
+    moving = values[values > 0.0]
+    if column.si == "m/s" and moving.size and np.quantile(moving, USUAL) > MAX_SPEED:
         problem = f"{column.name!r} reaches {largest:.6g}, too fast for m/s"
         raise column.unit_error(problem, table.file, "mm/s")
     return column.si, "guessed"
