@@ -1,5 +1,6 @@
-"""A robot that saw home with a narrow camera is asked to turn there."""
+"""Notes on home bearings: of a narrow camera, and of the opposite sign."""
 
+import dataclasses
 import math
 import re
 
@@ -31,6 +32,20 @@ def test_the_gain_of_a_turn_at_home_is_that_of_bearings_of_all_landmarks():
     assert then == pytest.approx(heading_deviation(whole), rel=0.3)
     assert now > 5.0 * then
     assert not [n for n in whole.notes if "turns on the spot" in n]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_home_bearings_of_the_opposite_sign_are_named_and_right_ones_never(seed, sign):
+    rig = Rig(ring(12), seed, promise=None)
+    for name in list(rig.home)[:3]:  # moved since
+        seen = rig.home[name]
+        rig.home[name] = dataclasses.replace(seen, bearing=seen.bearing + 0.5)
+    home = {n: dataclasses.replace(b, bearing=sign * b.bearing) for n, b in rig.home.items()}
+    rig.localizer = Localizer(home, **rig.settings.robot)
+    rig.drive(25.0)
+    named = [n for n in rig.localizer.notes if "fit the map with the opposite sign" in n]
+    assert bool(named) == (sign < 0)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,17 +34,24 @@ from homeward.localizer.map.survey.factors import HomeFactors
 from homeward.localizer.map.survey.survey import exchange_notes
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
+    GIVEN_WRONG,
     INLIER,
     LINEAR,
     MAX_SEEDS,
     MAX_SEEDS_IN_DOUBT,
     MIN_TOGETHER,
+    MINIMAL,
     PROBABLE,
     SEARCH_EVERY,
     SEARCH_PATIENCE,
+    SIGN_FALSE_ALARM,
     VERIFIED,
 )
 
+MIRROR_NOTE = (
+    "Of {} home bearings, {} fit the map with the opposite sign, {} as given: they are clockwise,"
+    " unlike those of the drive, and no pose is right. Multiply the home bearings by -1."
+)
 START_NOTE = (
     "The start prior contradicts the home bearings and is not used. Correct or remove `start:` in"
     " drive.yaml."
@@ -85,7 +93,8 @@ class HomeTracker:
         exchanged = exchange_notes(self.exchanged, "in the home bearings")
         mapped = known.landmarks.mapped.items()
         others = numbers(m for n, m in mapped if n not in self.observation.bearings)
-        return *start, *exchanged, *turn_notes(found.best, others, known.smoother.all_landmarks)
+        turned = turn_notes(found.best, others, known.smoother.all_landmarks)
+        return *start, *_mirror_notes(found), *exchanged, *turned
 
     @property
     def exchanged(self) -> dict[str, str]:
@@ -218,3 +227,18 @@ class HomeTracker:
             self._seeds.extend(seeds(problem, self._number_of_seeds(now)))
             self._searched = known.smoother.newest
         return now
+
+
+def _mirror_notes(found: Hypotheses) -> tuple[str, ...]:
+    """Return a note if home bearings of the opposite sense of rotation fit much better."""
+    problem = found.best.problem
+    if problem.bearings.size <= MINIMAL or found.best.inliers.all():
+        return ()
+    mirrored = search(replace(problem, bearings=-problem.bearings))
+    if mirrored is None:
+        return ()
+    gain = mirrored.best.log_evidence - found.max_log_evidence
+    if gain < math.log(1.0 / GIVEN_WRONG) + math.log(1.0 / SIGN_FALSE_ALARM):
+        return ()
+    agree = (int(np.count_nonzero(fit.inliers)) for fit in (mirrored.best, found.best))
+    return (MIRROR_NOTE.format(problem.bearings.size, *agree),)
