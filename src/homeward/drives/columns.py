@@ -63,6 +63,11 @@ LANDMARKS = "landmark tag marker beacon landmarke marke balise marqueur amer"
 """Names of a landmark, which a number may follow: the column then has its bearings."""
 GYRO = "gyro.z gyroz gyro gz"
 """Names of the yaw rate of a gyroscope."""
+TURN_RATES = (
+    "drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate "
+    "vitesse.angulaire vitesse.rotation vitesse.de.rotation"
+)
+"""German and French names of the yaw rate."""
 ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
@@ -84,8 +89,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
         "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.velocity.z "
         "angular.speed ang.vel rot.vel v.th v.theta vth vtheta "
         "velocity.yaw omega.z omegaz w.z wz om theta.dot yaw.dot "
-        f"{GYRO} drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate "
-        "vitesse.angulaire vitesse.rotation vitesse.de.rotation",
+        f"{GYRO} {TURN_RATES}",
     ),
     "landmark": (
         "name",
