@@ -100,6 +100,7 @@ class Localizer:
     uses_unlabelled = True
     """Whether `bearings` takes sightings without ids."""
 
+    @single_threaded_blas()  # finding its libraries takes longer than a frame
     def __init__(
         self,
         home: Home,
