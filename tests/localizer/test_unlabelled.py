@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from homeward.localizer.unlabelled.home import relative_places
 from homeward.localizer.unlabelled.local_map import LocalMap
 from homeward.localizer.unlabelled.lost import Loss
 from homeward.localizer.unlabelled.registry import Registry
+from homeward.localizer.unlabelled.repair import Anchors
 from homeward.localizer.unlabelled.repetition import log_repetition
 from homeward.reasons import Reason
 from homeward.registry import make_estimator
@@ -424,3 +426,34 @@ def test_classes_without_a_common_landmark_find_nothing():
 
 def test_the_default_estimator_takes_them(pair):
     assert make_estimator("robust", pair.without).uses_unlabelled
+
+
+HOME, OTHER = ["~1", "~2", "~3"], ["~4", "~5", "~6"]
+
+
+def visited(visits, home=HOME):
+    """Return anchors and their chart after visits of 10 s to places with three landmarks each."""
+    mapped = dict.fromkeys([*HOME, *OTHER])
+    chart = SimpleNamespace(map=SimpleNamespace(landmarks=SimpleNamespace(mapped=mapped)))
+    anchors, known = Anchors(), Registry()
+    anchors.update(chart, known, home)
+    for t in range(50 * len(visits)):
+        anchors.add_frame(0.2 * t, visits[t // 50])
+    anchors.update(chart, known, home)
+    anchors.add_frame(10.0 * len(visits), visits[-1])
+    return anchors, chart
+
+
+def test_landmarks_that_are_found_again_between_visits_at_home_are_anchored():
+    for visits in ([HOME, OTHER], [HOME, OTHER, HOME, OTHER]):
+        anchors, _ = visited(visits)
+        assert not anchors.are_enough
+    anchors, _ = visited([HOME, OTHER] * 3)
+    assert anchors.are_enough
+
+
+def test_landmarks_that_were_anchored_to_another_home_are_not():
+    anchors, chart = visited([HOME, OTHER] * 3)
+    anchors.update(chart, Registry(), ["~7"])
+    anchors.add_frame(60.2, OTHER)
+    assert not anchors.are_enough

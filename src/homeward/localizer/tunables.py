@@ -615,6 +615,8 @@ seen, below which it is no landmark: real ones are seen in four of five."""
 ANCHOR_S, ANCHORED = 3.0, 0.5
 """Time in which three anchored landmarks must be seen for a verified pose [s], and their share of
 all sightings: of a wrong pose, up to a third fit by chance."""
+MIN_RETURNS = 2
+"""Returns that prove the position of a landmark: one in 20 single ones is of another landmark."""
 LINK_FRAMES, LINK_SHARE = 10, 0.25
 """Frames in which a landmark must be seen with an anchored one, and share of its own sightings: by
 chance it is a tenth."""

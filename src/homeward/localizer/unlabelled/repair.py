@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection, Iterator
 
 import numpy as np
@@ -17,6 +17,7 @@ from homeward.localizer.tunables import (
     INLIER,
     LINK_FRAMES,
     LINK_SHARE,
+    MIN_RETURNS,
     MINIMAL,
     TOGETHER,
 )
@@ -54,9 +55,10 @@ def duplicates(chart: Chart, known: Registry) -> Iterator[tuple[str, str]]:
 class Anchors:
     """Landmarks whose positions relative to those of home are proven.
 
-    Those of home are the first, then those that are often seen together with three anchored ones.
-    If odometry or the robot has slipped, landmarks mapped later are seen with the former ones by
-    chance only, and are not anchored.
+    Those of home are the first, then those that are often seen together with three anchored ones,
+    or found again where they are mapped after anchored ones were met meanwhile. If odometry or the
+    robot has slipped, landmarks mapped later are seen with the former ones by chance only, and are
+    not found where they are mapped from there; they are not anchored.
     """
 
     def __init__(self) -> None:
@@ -65,6 +67,12 @@ class Anchors:
         """Times and landmarks of the newest sightings; empty for none."""
         self._is_met = False
         """Whether enough sightings are anchored in the newest frame of three or more."""
+        self._enough_at = -math.inf
+        """When enough sightings were of anchored ones last [s]."""
+        self._seen_at: dict[str, float] = {}
+        """When each landmark was seen last [s], ..."""
+        self._returns = Counter[str]()
+        """... and how often it was seen again after such a time."""
 
     def add_frame(self, t: float, names: Collection[str]) -> None:
         """Add the landmarks of the sightings of a frame at `t` [s], empty for none."""
@@ -73,6 +81,11 @@ class Anchors:
             self._is_met = sum(n in self._anchored for n in names) >= ANCHORED * len(names)
         while self._recent and self._recent[0][0] < t - ANCHOR_S:
             self._recent.popleft()
+        seen = {*names} - {""}
+        self._returns.update(n for n in seen if self._seen_at.get(n, t) < self._enough_at)
+        self._seen_at |= dict.fromkeys(seen, t)
+        if self.are_enough:
+            self._enough_at = t
 
     @property
     def are_enough(self) -> bool:
@@ -86,7 +99,10 @@ class Anchors:
         """Update the anchored landmarks of a map by those of home."""
         mapped = chart.map.landmarks.mapped.keys()
         first = {*of_home} & mapped
-        self._anchored = first if not first & self._anchored else self._anchored | first
+        if not first & self._anchored:  # another home
+            self._anchored = set()
+            self._returns.clear()
+        self._anchored |= first
         self._anchored -= known.aliases.keys()
         open_ = mapped - known.aliases.keys() - self._anchored
         grown = True
@@ -97,7 +113,9 @@ class Anchors:
             grown = bool(new)
 
     def _is_linked(self, name: str, known: Registry) -> bool:
-        """Return whether a landmark is often seen together with three anchored ones."""
+        """Return whether a landmark's position relative to anchored ones is proven."""
+        if self._returns[name] >= MIN_RETURNS:
+            return True
         least = max(LINK_FRAMES, LINK_SHARE * known.seen.get(name, [0, 0])[0])
         often = sum(known.linked[in_order(name, other)] >= least for other in self._anchored)
         return often >= MINIMAL
