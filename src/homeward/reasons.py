@@ -28,6 +28,7 @@ class Reason(_Words):
     SIDEWAYS_REVERSED = (
         "bearings contradict the sign of the sideways speed vy, which is positive to the left"
     )
+    HOME_MIRRORED = "home bearings fit the map with the opposite sign; all must be anti-clockwise"
     CAMERA_YAW = "bearings contradict a camera's yaw on the robot; correct that yaw"
     CAMERA_TURNED = (
         "bearings indicate that the camera was turned on the robot; drive on to determine its yaw"

@@ -9,6 +9,7 @@ from rig import Rig, ring
 
 from homeward.localizer.home.turn_note import span
 from homeward.localizer.localizer import Localizer
+from homeward.reasons import Reason
 
 
 def driven(seed, half_angle):
@@ -46,6 +47,9 @@ def test_home_bearings_of_the_opposite_sign_are_named_and_right_ones_never(seed,
     rig.drive(25.0)
     named = [n for n in rig.localizer.notes if "fit the map with the opposite sign" in n]
     assert bool(named) == (sign < 0)
+    now = rig.localizer.estimate(rig.t)
+    assert (now.pose is None) == (sign < 0)
+    assert (now.reason == Reason.HOME_MIRRORED.words) == (sign < 0)
 
 
 @pytest.mark.parametrize(

@@ -544,7 +544,8 @@ class Localizer:
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...], stamp: float) -> Estimate:
         """Return the estimate at `t` [s], with the stamp `stamp` of the drive's own clock."""
-        if (why := self._sign_checks.reason) is not None:
+        mirrored = Reason.HOME_MIRRORED if self.chart.home.is_mirrored else None
+        if (why := self._sign_checks.reason or mirrored) is not None:
             return Estimate(stamp, Status.MAPPING, why.words, None, None, innovations)
         dead = self._dead.reason if self._dead.is_dead else None
         complaint = self._reorder.complaint or dead

@@ -83,6 +83,9 @@ class HomeTracker:
         """Whether `hypotheses` are fitted to the newest state of the map, not only propagated."""
         self._searched = 0
         """Keyframe of the last search from scratch."""
+        self._mirrored: tuple[int, int, int] | None = None
+        """Number of home bearings, and how many fit with the opposite sign and as given, where they
+        fit much better with that."""
 
     def notes(self, known: Map) -> tuple[str, ...]:
         """Return notes for the user: on the start, exchanged home bearings, and a turn at home."""
@@ -94,7 +97,13 @@ class HomeTracker:
         mapped = known.landmarks.mapped.items()
         others = numbers(m for n, m in mapped if n not in self.observation.bearings)
         turned = turn_notes(found.best, others, known.smoother.all_landmarks)
-        return *start, *_mirror_notes(found), *exchanged, *turned
+        mirrored = () if self._mirrored is None else (MIRROR_NOTE.format(*self._mirrored),)
+        return *start, *mirrored, *exchanged, *turned
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the home bearings have the opposite sign of those of the drive."""
+        return self._mirrored is not None
 
     @property
     def exchanged(self) -> dict[str, str]:
@@ -129,6 +138,7 @@ class HomeTracker:
         else:
             also = seeds_for(now, before, self.names) if now is not None else []
             self.hypotheses = search(problem, also)
+            self._test_sign(self.hypotheses)
             self._seeds.clear()
             if self.hypotheses is not None and self._number_of_seeds(self.hypotheses) > MAX_SEEDS:
                 self._seeds.extend(seeds(problem, MAX_SEEDS_IN_DOUBT)[MAX_SEEDS:])
@@ -226,19 +236,19 @@ class HomeTracker:
         if not self._seeds and since >= SEARCH_EVERY + wait:
             self._seeds.extend(seeds(problem, self._number_of_seeds(now)))
             self._searched = known.smoother.newest
+            self._test_sign(now)
         return now
 
-
-def _mirror_notes(found: Hypotheses) -> tuple[str, ...]:
-    """Return a note if home bearings of the opposite sense of rotation fit much better."""
-    problem = found.best.problem
-    if problem.bearings.size <= MINIMAL or found.best.inliers.all():
-        return ()
-    mirrored = search(replace(problem, bearings=-problem.bearings))
-    if mirrored is None:
-        return ()
-    gain = mirrored.best.log_evidence - found.max_log_evidence
-    if gain < math.log(1.0 / GIVEN_WRONG) + math.log(1.0 / SIGN_FALSE_ALARM):
-        return ()
-    agree = (int(np.count_nonzero(fit.inliers)) for fit in (mirrored.best, found.best))
-    return (MIRROR_NOTE.format(problem.bearings.size, *agree),)
+    def _test_sign(self, found: Hypotheses | None) -> None:
+        """Test whether home bearings of the opposite sign fit much better, if most do not fit."""
+        self._mirrored = None
+        if found is None:
+            return
+        problem, number = found.best.problem, found.best.inliers.size
+        agreeing = int(np.count_nonzero(found.best.inliers))
+        if number <= MINIMAL or 2 * agreeing > number:
+            return
+        other = search(replace(problem, bearings=-problem.bearings))
+        needed = math.log(1.0 / GIVEN_WRONG) + math.log(1.0 / SIGN_FALSE_ALARM)
+        if other is not None and other.best.log_evidence - found.max_log_evidence >= needed:
+            self._mirrored = number, int(np.count_nonzero(other.best.inliers)), agreeing
