@@ -343,10 +343,10 @@ def _checked(stream: IO[str], path: Path) -> Iterator[str]:
     for row in itertools.count(1):
         if not (read := stream.readline(MAX_LINE)):
             return
+        if len(read) == MAX_LINE:
+            raise InputError(f"a line of {MAX_LINE:,} characters or more", path, row)
         if not (line := read.strip("\0")):
             continue
-        if len(line) == MAX_LINE:
-            raise InputError(f"a line of {MAX_LINE:,} characters or more", path, row)
         if not line.isascii() and _UNDECODABLE.search(line):
             raise InputError("not UTF-8 text", path, row)
         yield line
