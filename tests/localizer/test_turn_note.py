@@ -50,6 +50,7 @@ def test_home_bearings_of_the_opposite_sign_are_named_and_right_ones_never(seed,
     now = rig.localizer.estimate(rig.t)
     assert (now.pose is None) == (sign < 0)
     assert (now.reason == Reason.HOME_MIRRORED.words) == (sign < 0)
+    assert any(mark.moved for mark in rig.localizer.landmarks()) == (sign > 0)
 
 
 @pytest.mark.parametrize(

@@ -168,7 +168,8 @@ class Localizer:
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and findings about the robot, by their usual effect on the answer."""
         if self.is_convention_wrong:
-            return (*self._notes, *self._sign_checks.notes)
+            home = self.chart.home.notes(self.chart.map) if self.chart.home.is_mirrored else ()
+            return (*self._notes, *self._sign_checks.notes, *home)
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
         if noise.learnt is not None and noise.learnt < self.settings.bearing_sigma / NOTABLE_RATIO:
@@ -348,9 +349,9 @@ class Localizer:
     def is_convention_wrong(self) -> bool:
         """Whether the bearings of a camera contradict their sense of rotation or its yaw.
 
-        Then there is no pose.
+        Or those of home have the opposite sign. Then there is no pose.
         """
-        return self._sign_checks.is_wrong
+        return self._sign_checks.is_wrong or self.chart.home.is_mirrored
 
     @property
     def mount(self) -> Pose | None:

@@ -50,7 +50,8 @@ from homeward.localizer.tunables import (
 
 MIRROR_NOTE = (
     "Of {} home bearings, {} fit the map with the opposite sign, {} as given: they are clockwise,"
-    " unlike those of the drive, and no pose is right. Multiply the home bearings by -1."
+    " unlike those of the drive. No pose is given until this is corrected. Multiply the home"
+    " bearings by -1."
 )
 START_NOTE = (
     "The start prior contradicts the home bearings and is not used. Correct or remove `start:` in"
@@ -84,11 +85,11 @@ class HomeTracker:
         self._searched = 0
         """Keyframe of the last search from scratch."""
         self._mirrored: tuple[int, int, int] | None = None
-        """Number of home bearings, and how many fit with the opposite sign and as given, where they
-        fit much better with that."""
+        """Number of home bearings, and how many of them fit with the opposite sign and as given;
+        None unless they fit much better with that sign."""
 
     def notes(self, known: Map) -> tuple[str, ...]:
-        """Return notes for the user: on the start, exchanged home bearings, and a turn at home."""
+        """Return notes for the user: on the start, the home bearings, and a turn at home."""
         found = self.hypotheses
         if found is None:
             return ()
