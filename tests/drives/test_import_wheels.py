@@ -239,14 +239,8 @@ def test_motors_mounted_as_mirror_images_are_refused_with_their_columns(tmp_path
     files = turning(tmp_path)
     count = names.count(",") // 2 + 1
     lever = 0.2 if count == 1 else 0.45
-    angles = (
-        0.1
-        / 0.05
-        * np.cumsum(
-            np.pad((V + lever * np.array([[-1.0], [1.0]]) * OMEGA)[:, :-1], ((0, 0), (1, 0))),
-            axis=1,
-        )
-    )
+    speeds = V + lever * np.array([[-1.0], [1.0]]) * OMEGA
+    angles = 0.1 / 0.05 * np.cumsum(np.pad(speeds[:, :-1], ((0, 0), (1, 0))), axis=1)
     angles[int(side == "right")] *= -1.0
     rows = [",".join(map(str, (t, *pair, *pair)[: 1 + 2 * count]))
             for t, *pair in zip(T, *angles, strict=True)]  # fmt: skip

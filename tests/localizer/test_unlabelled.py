@@ -431,15 +431,15 @@ def test_the_default_estimator_takes_them(pair):
 HOME, OTHER = ["~1", "~2", "~3"], ["~4", "~5", "~6"]
 
 
-def visited(visits, home=HOME):
+def visited(visits):
     """Return anchors and their chart after visits of 10 s to places with three landmarks each."""
     mapped = dict.fromkeys([*HOME, *OTHER])
     chart = SimpleNamespace(map=SimpleNamespace(landmarks=SimpleNamespace(mapped=mapped)))
     anchors, known = Anchors(), Registry()
-    anchors.update(chart, known, home)
+    anchors.update(chart, known, HOME)
     for t in range(50 * len(visits)):
         anchors.add_frame(0.2 * t, visits[t // 50])
-    anchors.update(chart, known, home)
+    anchors.update(chart, known, HOME)
     anchors.add_frame(10.0 * len(visits), visits[-1])
     return anchors, chart
 

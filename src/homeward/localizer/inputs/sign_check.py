@@ -2,11 +2,11 @@
 
 Wrong conventions give a consistent map, with a pose that is consistent and wrong: clockwise
 bearings give its mirror image, and a wrong yaw a map that is turned against the direction of
-travel. So is one with a sideways speed of the wrong sign. The right convention is the one in which
-landmarks have positive distances. With the
-rotation from odometry removed, a static landmark moves away from the direction of travel, at any
-distance. So a wrong yaw needs negative distances, and a wrong sense of rotation fits no distance.
-Each camera is tested on its own, since one of several may have another convention.
+travel, as does a sideways speed of the wrong sign. The right convention is the one in which
+landmarks have positive distances. With the rotation from odometry removed, a static landmark moves
+away from the direction of travel, at any distance. So a wrong yaw needs negative distances, and a
+wrong sense of rotation fits no distance. Each camera is tested on its own, since one of several may
+have another convention.
 
 An error of the odometry's yaw rate is common to all bearings of a window, and of all windows. In a
 bend it looks like a wrong yaw. So the scale of the yaw rate is an unknown of each hypothesis.
@@ -50,6 +50,8 @@ from homeward.odometry.history import dead_reckoning_unwrapped
 from homeward.reasons import Reason
 from homeward.sighting_keys import is_followed
 
+AS_GIVEN, REVERSED, SIDEWAYS_REVERSED = range(3)
+"""Senses: as given, and with the opposite sign of bearings, or of the sideways speed."""
 ANTI_CLOCKWISE, SIDEWAYS = "both must be anti-clockwise.", "Multiply vy by -1."
 _YAWS = YAW_STEP * np.arange(round(math.tau / YAW_STEP))
 _ACROSS = np.array([-np.sin(_YAWS), np.cos(_YAWS)])
@@ -218,14 +220,21 @@ class SignCheck:
         return self._strafes and float(self._probability[2:].sum()) < SIGN_FALSE_ALARM
 
     @property
+    def _sense(self) -> int:
+        """The sense that is more probable than all others together, if the convention is wrong."""
+        shares = self._probability.sum(axis=1)
+        best = int(shares.argmax())
+        return best if self.is_doubtful and shares[best] > 0.5 else AS_GIVEN
+
+    @property
     def is_reversed(self) -> bool:
         """Whether bearings and odometry rotate in opposite senses, if the convention is wrong."""
-        return self.is_doubtful and bool(self._probability[1].sum() > 0.5)
+        return self._sense == REVERSED
 
     @property
     def is_sideways_reversed(self) -> bool:
         """Whether the sideways speed has the wrong sign, if the convention is wrong."""
-        return self.is_doubtful and bool(self._probability[2:].sum() > 0.5)
+        return self._sense == SIDEWAYS_REVERSED
 
     @property
     def yaw_error(self) -> float:
@@ -234,7 +243,7 @@ class SignCheck:
         For clockwise bearings, that is the yaw after their sign is changed. A multiple of 90
         degrees is given where the data do not exclude it.
         """
-        weight = self._probability[1 if self.is_reversed else 2 if self.is_sideways_reversed else 0]
+        weight = self._probability[self._sense]
         near = np.exp(1j * (_YAWS - _YAWS[weight.argmax()]))
         peak = np.where(near.real > math.cos(2.5 * YAW_STEP), weight, 0.0)
         yaw = float(np.angle(peak @ np.exp(1j * _YAWS)))

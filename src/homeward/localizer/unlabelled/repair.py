@@ -101,6 +101,7 @@ class Anchors:
         first = {*of_home} & mapped
         if not first & self._anchored:  # another home
             self._anchored = set()
+            self._seen_at.clear()
             self._returns.clear()
         self._anchored |= first
         self._anchored -= known.aliases.keys()
