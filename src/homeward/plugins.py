@@ -91,7 +91,8 @@ def load(group: str, name: str, known: Iterable[str]) -> Callable[..., Any]:
     if not module or not attribute:
         names = ", ".join([*known, *installed(group)])
         kind = group.partition(".")[2].removesuffix("s")
-        raise InputError(f"no {kind} {name!r}: use one of {names}, or package.module:attribute")
+        own = f"{Path(name).stem}:NAME" if name.endswith(".py") else "package.module:attribute"
+        raise InputError(f"no {kind} {name!r}: use one of {names}, or {own}")
     try:
         found_object: Any = _imported(module)
         for part in attribute.split("."):
@@ -149,7 +150,8 @@ class PluginEstimator:
         self._inner: Estimator = self._call("making it", make)
         kind = type(self._inner).__name__
         if missing := [name for name in MEMBERS if not hasattr(self._inner, name)]:
-            raise InputError(f"{label} returned a {kind} without {', '.join(missing)}")
+            what = f"{label} returned a {kind} without {', '.join(missing)}"
+            raise InputError(what, advice="docs/do/estimators.md has an example that runs")
         self.name = str(self._inner.name)
         self.uses_sideways = takes_sideways(self._inner)
 

@@ -4,18 +4,22 @@ import dataclasses
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import call, done, first_seconds, refused
+from drives.ros import build
+from drives.ros.test_bearing_topics import camera_info, tags
 
 from homeward.cli.drives.run import again, run_settings
 from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.ros.topics.choosing import draft_of
 from homeward.drives.ros.topics.survey import Topic
+from homeward.drives.ros.writing import writing
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.io import naming
@@ -45,7 +49,7 @@ def test_the_next_command_keeps_home_and_leads_to_the_robot_file(here):
     tuned = call(*shlex.split(following))  # it finds home, and the drive is too short
     assert "mine: its first half has 76 sightings" in tuned.stderr
     settings = run_settings("mine", {"home_at": 3.0})
-    again_with = again("run", settings, "--robot-file", "robot.yaml")
+    again_with = again("run", settings=settings, options=("--robot-file", "robot.yaml"))
     assert again_with == "homeward run mine --home at:3 --robot-file robot.yaml"
 
 
@@ -112,10 +116,18 @@ def test_info_prints_a_topics_file_to_complete_where_a_run_needs_one():
         (["import", "mine/home.csv", "--wheels", "radius=1"], "wheel_radius or omni_radius?"),
         (["import", "tags.json"], "or add a source (docs/do/sources.md)"),
         (["run", "mine", "--home-during=0,5"], "is now --home during:0,5"),
+        (["run", "mine", "--estimator", "mine.py"], "or mine:NAME"),
+        (["run", "mine", "--home", "during:2,9"], "or --home at:T for its pose at one time"),
+        (["paper"], "use `homeward study paper`"),
+        (["peers"], "use `homeward study peers`"),
+        (["place", "list", "hall"], "use `homeward place info`"),
+        (["place", "delete", "hall"], "use `homeward place forget`"),
+        (["info", "notes.txt"], "nor a log (a ROS bag, an MCAP file or a .wpilog file)"),
         (["run", "mine", "--store-home", "dock"], "now `homeward place add PLACE DRIVE`"),
     ],
 )
 def test_words_of_other_programs_get_a_command(words, answer, here):
+    (here / "notes.txt").write_text("Tuesday, the robot was slow.\n")
     (here / "tags.json").write_text('[{"timestamp": 0.1, "detections": []}]')
     assert refused(call(*words)).endswith(answer)
 
@@ -136,6 +148,72 @@ def test_rotation_velocities_in_degrees_are_yaw_rates(here):
     assert "no bearings found" in refused(call("import", "wheels.csv"))  # the next missing table
 
 
+def pasted(result):
+    """Call the command that the last line of a result names."""
+    program, *words = shlex.split(result.stdout.splitlines()[-1].removeprefix("Next: "))
+    assert program == "homeward"
+    return call(*words)
+
+
 def test_a_simulated_drive_names_the_next_command(here):
-    result = done(call("simulate", "circle", "--out", "round"))
-    assert result.stdout.splitlines()[-1] == "Next: homeward run round"
+    assert "Report:" in done(pasted(done(call("simulate", "circle", "--out", "round")))).stdout
+
+
+def test_the_command_after_a_conversion_runs_the_drive(here):
+    assert "Report:" in pasted(done(call("convert", "mine", "mine.mcap"))).stdout
+    (here / "mine" / "home.csv").unlink()
+    described = done(pasted(done(call("convert", "mine", "other"))))
+    assert described.stdout.splitlines()[-1] == "Next: homeward run other --home at:0"
+
+
+def test_the_command_after_a_tuned_robot_writes_another_file(here):
+    (here / "robot.yaml").touch()
+    following = done(call("run", "mine")).stdout.splitlines()[-1]
+    assert following == "Next: homeward tune mine --out robot-2.yaml"
+    assert refused(call("tune", "mine")).endswith("another file, as with --out robot-2.yaml")
+
+
+def test_the_commands_in_a_place_lead_on_in_it(here):
+    first_seconds(here / "first", 40.0)
+    first_seconds(here / "second", 41.0)
+    (here / "robot.yaml").write_text("sensor: {bearing_sigma: 0.01}\n")
+    shown = pasted(done(call("place", "add", "hall", "first")))
+    assert done(shown).stdout == "Page: out/hall.html\n"
+    words = "--place", "hall", "--robot-file", "robot.yaml"
+    added = done(pasted(done(call("run", "second", *words))))
+    assert "hall: 11 stayed" in added.stdout
+    following = added.stdout.splitlines()[-1]
+    assert following == "Next: homeward live --tcp 7707 --robot-file robot.yaml --place hall"
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_the_command_after_an_export_compiles_and_runs_it(here):
+    pytest.importorskip("casadi")
+    following = done(call("export", "ekf", "--landmarks", "3")).stdout.splitlines()[-1]
+    command = following.removeprefix("Next: ")
+    assert "heading" in subprocess.check_output(command, shell=True, text=True)
+
+
+def test_text_files_with_numbers_are_tables(here):
+    (here / "encoders.txt").write_text("millis left_ticks right_ticks\n51234 0 0\n51284 40 43\n")
+    assert "`homeward import encoders.txt --out" in refused(call("info", "encoders.txt"))
+    (here / "readme.txt").write_text("2 runs, one without tags")
+    (here / "mine" / "bearings.csv").rename(here / "tags.csv")
+    shutil.rmtree("mine")
+    assert "`homeward import encoders.txt tags.csv --out" in refused(call("run", "."))
+
+
+def test_a_robot_file_from_a_log_has_no_empty_key(here):
+    """Extrinsics of /tf_static are in the settings of the drive, and other cameras are not."""
+    with writing(here / "log.mcap") as log:
+        stamp = build.EPOCH * build.SECOND
+        optical = (0.12, 0, 0.2, -0.5, 0.5, -0.5, 0.5)
+        log.write(
+            "/tf_static", stamp, build.transforms(log, stamp, {("base_link", "optical"): optical})
+        )
+        log.write("/odom", stamp, build.odometry(log, stamp, 0.1, 0.0))
+        log.write("/tags", stamp, tags(log, stamp, {3: 320.0}))
+        log.write("/camera_info", stamp, camera_info(log, stamp))
+    settings = open_drive(here / "log.mcap", home_needed=False).settings
+    assert settings.sensor.x == pytest.approx(0.12)
+    assert "cameras" not in settings.model_fields_set

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -44,3 +45,5 @@ def export(
         for name, text in files.items():
             (scratch / name).write_text(text, encoding="utf-8")
     say(f"{estimator} of {landmarks} landmarks in {precision}s: {out}")
+    sources = [shlex.quote(str(out / name)) for name in files if name.endswith(".c")]
+    say(f"Next: cc -O2 {' '.join(sources)} -lm -o example && ./example")

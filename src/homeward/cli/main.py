@@ -31,6 +31,7 @@ from homeward.errors import (
 NO_COMMANDS = {
     "camera": "removed: calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file "
     "in images.yaml or the topics file (camera: {file: camera.yaml})",
+    "leaderboard": "not a command; use `python -m benchmarks.leaderboard` in the README's folder",
     "observe": "now `homeward plan --landmarks N` or `homeward plan --drive DRIVE`",
     "render": "now `homeward simulate ROOM --images`",
     "reproduce": "now `homeward study paper` or `homeward study layouts`",
@@ -40,11 +41,15 @@ NO_COMMANDS = {
         for words, others in {
             "--help": "help",
             "--version": "version",
+            "info LOG": "check inspect",
             "tune DRIVE": "calibrate calibration",
             "run DRIVE": "localise localize score evaluate",
             "run sample": "demo sample",
+            "see FOLDER --tags 36h11": "detect tags",
             "place": "map maps places",
             "study": "benchmark",
+            "study paper": "paper reproduction",
+            "study peers": "peers",
             "settings": "config estimators",
         }.items()
         for other in others.split()

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypedDict, Unpack
 
@@ -265,12 +266,22 @@ def seconds(text: str) -> float:
     return value
 
 
-def read_drive(source: str, topics: Path | None, **home: Unpack[HomeChoice]) -> Drive:
+def read_drive(
+    source: str, topics: Path | None, home_needed: bool = True, **home: Unpack[HomeChoice]
+) -> Drive:
     """Open a drive, with a progress bar."""
     from homeward.drives.opening import open_drive
 
     with progress(f"reading {source}") as on_progress:
-        return open_drive(source, topics=topics, **home, on_progress=on_progress)
+        return open_drive(
+            source, topics=topics, home_needed=home_needed, **home, on_progress=on_progress
+        )
+
+
+def unused(file: Path) -> Path:
+    """Return a path, or the first of NAME-2, NAME-3, ... that does not exist."""
+    others = (file.with_stem(f"{file.stem}-{number}") for number in count(2))
+    return next(path for path in chain((file,), others) if not is_there(path))
 
 
 def day(text: str) -> float:

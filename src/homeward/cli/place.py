@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from homeward.cli.drives.add import add
 from homeward.cli.options import AsJson, Authority, Mqtt, PasswordFile, say, show
@@ -15,7 +16,41 @@ from homeward.errors import InputError
 if TYPE_CHECKING:
     from homeward.places.place import Place
 
-place = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+OTHER_NAMES = {
+    other: command
+    for command, others in {
+        "info": "list ls print show",
+        "add": "create new update visit",
+        "forget": "delete remove rm",
+        "view": "map page plot",
+    }.items()
+    for other in others.split()
+}
+"""Names that other programs have for commands of a place."""
+
+
+class PlaceCommands(TyperGroup):
+    """Commands of a place, each with its whole first paragraph in the help."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command; for a name of other programs, raise an error with the right one."""
+        if name := OTHER_NAMES.get(cmd_name):
+            raise InputError(
+                f"homeward place {cmd_name} is not a command; use `homeward place {name}`"
+            )
+        return super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands with a sentence for each."""
+        rows = [
+            (name, " ".join((command.help or "").partition("\n\n")[0].split()))
+            for name, command in self.commands.items()
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+place = typer.Typer(cls=PlaceCommands, no_args_is_help=True, rich_markup_mode=None)
 Folder = Annotated[Path, typer.Argument(metavar="PLACE", help="The folder of the place.")]
 
 

@@ -21,6 +21,7 @@ OTHERS = {
         "lab.simulation.render.room.settings:RenderScenario",
     ),
     "paper": ("homeward study paper --set ...", "lab.studies.paper.settings:PaperSettings"),
+    "live": ("homeward live --set ..., settings of the ROS 2 node", "live.settings:LiveSettings"),
     "study": ("the YAML file of homeward study", "lab.studies.study.plan:StudySettings"),
     "plan": ("the YAML file of homeward plan", "lab.planning.settings:Plan"),
     "drive": ("drive.yaml of a drive folder", "drives.settings:DriveSettings"),
@@ -77,7 +78,8 @@ def settings(
         model = other_model(of)
     else:
         names = ", ".join((*estimators, *OTHERS))
-        raise InputError(f"no settings named {of!r}; choose one of: {names}")
+        hint = "; those of `homeward run` are an estimator's" if of in ("run", "place") else ""
+        raise InputError(f"no settings named {of!r}{hint}; choose one of: {names}")
     if json:
         answer({"keys": [asdict(key) for key in keys(model)]})
         return

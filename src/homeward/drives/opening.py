@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -30,7 +31,7 @@ from homeward.drives.settings import RobotSettings, home_when
 from homeward.errors import InputError, as_typed, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.naming import command
-from homeward.io.reading import is_there, shipped
+from homeward.io.reading import is_there, naming, opened, shipped
 from homeward.io.settings import read_settings
 from homeward.io.table import quoted
 
@@ -39,8 +40,12 @@ SAMPLE = "sample"
 IMAGE_FOLDER = "folder of images (images.csv)"
 DRIVE_FOLDER = "drive folder (odometry.csv, bearings.csv, home.csv)"
 LOG = "log (a ROS bag, an MCAP file or a .wpilog file)"
-TABLES = (".csv", ".tsv")
-"""Suffixes of files that `homeward import` converts."""
+TABLES, TEXT = (".csv", ".tsv"), ".txt"
+"""Suffixes of files that `homeward import` converts; one of text only if it has numbers."""
+HEAD_BYTES = 4096
+"""Size of the beginning of a text file that shows whether it is a table."""
+ROW = re.compile(rb"^[-+.\d]+[,;\s]+[-+.\d]+([,;\s]|$)", re.MULTILINE)
+"""Beginning of a line of a table: two numbers."""
 
 
 def open_drive(
@@ -184,7 +189,15 @@ def kind_of(place: Path) -> str:
 
 def tables_in(place: Path) -> list[Path]:
     """Return the tables in a folder, or the path itself if it is a table."""
-    return [file for file in (place, *sorted(place.glob("*"))) if file.suffix.lower() in TABLES]
+    return [file for file in (place, *sorted(place.glob("*"))) if _is_table(file)]
+
+
+def _is_table(file: Path) -> bool:
+    """Whether a file is a table, by its name and, with the suffix of text, its beginning."""
+    if file.suffix.lower() != TEXT or not file.is_file():
+        return file.suffix.lower() in TABLES
+    with naming(file, "cannot be read"), opened(file) as stream:
+        return ROW.search(stream.read(HEAD_BYTES)) is not None
 
 
 def is_image_folder(path: Path) -> bool:

@@ -16,6 +16,7 @@ from homeward.cli.options import (
     say,
     warn,
 )
+from homeward.io.naming import command
 
 
 def convert(
@@ -31,7 +32,7 @@ def convert(
     """Convert a drive to a drive folder, an MCAP file or a ROS bag, without loss."""
     from homeward.drives.opening import save_drive
 
-    drive = read_drive(source, topics, **home_choice(home))
+    drive = read_drive(source, topics, home_needed=False, **home_choice(home))
     with progress(f"writing {target}") as on_progress:
         kind = save_drive(drive, target, on_progress)
     say(
@@ -40,3 +41,4 @@ def convert(
         + ("" if drive.truth is None else f", {drive.truth.t.size} true poses")
     )
     warn(*drive.remark_lines)
+    say(f"Next: {command('run' if drive.home else 'info', target)}")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from homeward.track import Track
 
 
+ROBOT_FILE = Path("robot.yaml")
+"""The file that `homeward tune` writes."""
 WHOLE_DRIVE = "whole"
 """Value of ``--smooth`` without a number."""
 
@@ -261,23 +263,37 @@ def run_one(
             shared.say(f"Files: {folder}")
             shared.warn(f"no report.html and no run.mcap: {missing}")
         if track.has_pose.any() and lost is None:
-            robot = settings.robot_file
-            live = command("live", "--tcp", "7707", "--robot-file", robot)
-            shared.say(f"Next: {again('tune', settings) if robot is None else live}")
+            shared.say(f"Next: {_following(settings, is_stored=store is not None)}")
     if lost is not None:
         raise lost
     if not track.has_pose.any():
         raise shared.no_answer()
 
 
-def again(name: str, settings: RunSettings, *words: object) -> str:
+def _following(settings: RunSettings, is_stored: bool) -> str:
+    """Return the next command after a run with a pose; `is_stored`: after a visit to a place."""
+    robot: tuple[object, ...] = ()
+    if settings.robot_file is not None:
+        robot = ("--robot-file", settings.robot_file)
+    if settings.place is not None and not is_stored:
+        return again("place", "add", settings.place, settings=settings, options=robot)
+    if settings.place is not None and not robot:
+        return command("place", "view", settings.place)
+    if robot:
+        place = () if settings.place is None else ("--place", settings.place)
+        return command("live", "--tcp", "7707", *robot, *place)
+    file = shared.unused(ROBOT_FILE)
+    return again("tune", settings=settings, options=() if file == ROBOT_FILE else ("--out", file))
+
+
+def again(*name: object, settings: RunSettings, options: Sequence[object] = ()) -> str:
     """Return a command to type for the drive of a run, with its topics file and its home."""
-    options: list[object] = [] if settings.topics is None else ["--topics", settings.topics]
+    inputs: list[object] = [] if settings.topics is None else ["--topics", settings.topics]
     for kind in ("file", "during", "spin", "at"):
         if (value := getattr(settings, f"home_{kind}")) is not None:
             text = value if kind == "file" else ",".join(f"{t:g}" for t in np.atleast_1d(value))
-            options += ["--home", text if kind == "file" else f"{kind}:{text}"]
-    return command(name, settings.drive, *options, *words)
+            inputs += ["--home", text if kind == "file" else f"{kind}:{text}"]
+    return command(*name, settings.drive, *inputs, *options)
 
 
 def _images(drive: Path) -> tuple[Images | None, list[str]]:

@@ -74,7 +74,7 @@ def see(
         shared.say(describe_sightings(drive))
         shared.warn(*drive.remark_lines)
         shared.say(f"Drive: {out}")
-        if drive.home and drive.sightings.t.size:
-            shared.say(f"Next: {command('run', out)}")
+        if drive.sightings.t.size:
+            shared.say(f"Next: {command('run' if drive.home else 'info', out)}")
     if not drive.sightings.t.size:
         raise shared.no_answer()

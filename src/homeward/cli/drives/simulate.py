@@ -205,6 +205,7 @@ def render(room: str, out: Path, seed: int | None, given: dict[str, Any]) -> Non
         f"({made.ending.value}) {made.final_distance:.3f} m from home; written to {out}"
     )
     say(describe_moved(moved))
+    say(f"Next: {command('run', out)}")
 
 
 def _maker(scenario: RenderScenario) -> Callable[[Drive], Estimator] | None:

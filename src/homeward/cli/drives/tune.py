@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.drives.run import again, home_options, run_settings
+from homeward.cli.drives.run import ROBOT_FILE, again, home_options, run_settings
 from homeward.cli.options import (
     AsJson,
     Home,
@@ -19,9 +19,10 @@ from homeward.cli.options import (
     progress,
     say,
     table,
+    unused,
     warn,
 )
-from homeward.errors import HomewardError, InputError
+from homeward.errors import HomewardError, InputError, as_typed
 from homeward.io.reading import is_there
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def tune(
             " drive with its bearings instead.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="The new file to write.")] = Path("robot.yaml"),
+    out: Annotated[Path, typer.Option(help="The new file to write.")] = ROBOT_FILE,
     scale_covariance: Annotated[
         bool,
         typer.Option(
@@ -76,7 +77,8 @@ def tune(
     from homeward.runs.tuning import tune as identify
 
     if is_there(out):
-        raise InputError("exists already; choose another file with --out", out)
+        advice = f"choose another file, as with --out {as_typed(unused(out))}"
+        raise InputError("exists already", out, advice=advice)
     given = home_options(home_choice(home)) | ({} if topics is None else {"topics": str(topics)})
     with progress(count(len(drives), "drive")) as on_progress:
         runs = [run_settings(drive, given) for drive in drives]
@@ -122,7 +124,7 @@ def tune(
         worse = listing(found.worse)
         warn(f"{worse} got worse with these values: use them only if other drives get better.")
     say(f"Robot file: {out}")
-    say(f"Next: {again('run', runs[0], '--robot-file', out)}")
+    say(f"Next: {again('run', settings=runs[0], options=('--robot-file', out))}")
 
 
 def _scaled(found: Tuning) -> Tuning:

@@ -111,7 +111,8 @@ def _require_still(first: float, last: float, odometry: Odometry) -> None:
     turn = np.abs(odometry.omega) @ within
     if path > MAX_STILL_M or turn > MAX_STILL_RAD:
         problem = f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad"
-        raise InputError(problem, advice="give an interval without motion")
+        advice = "give an interval without motion, or --home at:T for its pose at one time"
+        raise InputError(problem, advice=advice)
 
 
 def _seen_at_rest(

@@ -190,12 +190,14 @@ def _folder_info(kind: str, path: Path, given: Path, needed: tuple[str, ...]) ->
         for name, (columns, times) in timed.items()
         if (path / name).exists()
     )
-    if (path / csv.HOME).exists():
-        kind += f", {len(csv.read_home(path / csv.HOME, counts))} home bearings"
     remarks, is_drive = list[str](), needed == csv.REQUIRED
     absent = [name for name in needed if not (path / name).exists()]
     missing = csv.missing_files(path) if is_drive else absent
     has_no_home = missing == [csv.HOME]
+    if (path / csv.HOME).exists():
+        bearings = len(csv.read_home(path / csv.HOME, counts))
+        kind += f", {bearings} home bearings"
+        has_no_home = is_drive and not (bearings or missing or csv.has_home(path))
     if has_no_home:
         remarks.append(f"No home bearings found: {csv.HOME_ADVICE}.")
     elif missing:
@@ -217,8 +219,6 @@ def _checked(path: Path, home_needed: bool) -> Iterator[str]:
     drive = csv.read_folder(path, home_needed=home_needed)
     if not drive.sightings.t.size:
         yield REFUSED.format(f"{csv.BEARINGS} has no rows")
-    if home_needed and not drive.home and not csv.has_home(path):
-        yield REFUSED.format(f"{csv.HOME} has no rows")
     if not home_needed and (rest := first_rest(drive)) is not None:
         yield f"{PROPOSED.format(*rest).capitalize()}."
     try:

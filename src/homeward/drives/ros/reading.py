@@ -211,7 +211,9 @@ class _Reading:
         if others or any(abs(camera.in_reference.heading) > 0 for camera in self._cameras):
             update["field_of_view"] = None  # several cameras have no common one
         sensor_now = self._settings.sensor.model_copy(update=update)
-        known = {"sensor": sensor_now, "cameras": {**self._settings.cameras, **others}}
+        known: dict[str, Any] = {"sensor": sensor_now}
+        if others:
+            known["cameras"] = {**self._settings.cameras, **others}
         self._settings = self._settings.model_copy(update=known)
 
     def _remark_fields(self, topic: str, fields: str, what: str, number: int) -> None:
