@@ -95,6 +95,13 @@ def test_the_command_writes_the_page(tmp_path, monkeypatch, capsys):
     said = "`python -m benchmarks.leaderboard --family table --estimator robust"
     assert said in text
     assert str(tmp_path) not in text
+    by_hand = "\n## Peers\n\nBy hand.\n"
+    out.write_text("# Leaderboard\n\nOld tables.\n" + by_hand)
+    command.main()
+    renewed = out.read_text()
+    assert renewed.endswith(by_hand)
+    assert said in renewed
+    assert "Old tables" not in renewed
 
 
 def test_simulated_drives_have_fresh_seeds_and_real_ones_their_robots():

@@ -145,5 +145,5 @@ def test_the_demo_installs_only_what_it_needs():
 def test_the_picture_of_the_report_is_of_the_result_that_the_readme_quotes():
     """`docs/make_pictures.py sample-report.png` writes the summary into the picture."""
     picture = (ROOT / "docs/images/sample-report.png").read_bytes()
-    quoted = re.search(r"^> (Localised (?:.|\n> )*?)\n> Report", (ROOT / "README.md").read_text("utf-8"), re.M)
+    quoted = re.search(r"^> (Localised (?:.|\n> )*?)\n> Report", README, re.M)
     assert " ".join(quoted[1].split("\n> ")).strip().encode() in picture

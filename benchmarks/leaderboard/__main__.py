@@ -1,4 +1,4 @@
-"""All estimators on the same drives; writes docs/understand/leaderboard.md.
+"""All estimators on the same drives; writes the tables of docs/understand/leaderboard.md.
 
 `python -m benchmarks.leaderboard [--quick] [--estimator robust,package.module:make] [--family NAME
 ...] [--seeds 10] [--real-seeds 1] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each estimator on
@@ -19,6 +19,8 @@ from benchmarks.leaderboard.runs import begin, every, everybody
 from homeward.registry import settings_model
 
 PAGE = Path(__file__).parents[2] / "docs" / "understand" / "leaderboard.md"
+PEERS = "## Peers\n"
+"""Heading of the part of the page that is written by hand."""
 QUICK_SEEDS = 1
 
 
@@ -52,8 +54,15 @@ def main() -> None:
     kept = [w for i, w in enumerate(words) if not _of_this_machine(words, i)]
     command = " ".join(["python -m benchmarks.leaderboard", *kept])
     text = page(rows, names, families, command, ", ".join(monte_carlo.origin()))
-    options.out.write_text(text, encoding="utf-8")
+    options.out.write_text(text + written_by_hand(options.out), encoding="utf-8")
     print(text)
+
+
+def written_by_hand(file: Path) -> str:
+    """Return the part of the page that is not generated: from the heading of the peers on."""
+    known = file.read_text(encoding="utf-8") if file.is_file() else ""
+    _, heading, rest = known.partition(f"\n{PEERS}")
+    return heading + rest
 
 
 def _of_this_machine(words: list[str], i: int) -> bool:

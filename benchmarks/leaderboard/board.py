@@ -189,7 +189,7 @@ smoother with the survey. On set 6 `robust` was developed.
 - **moved**: drives in which exactly the moved landmarks were named; recall and precision of names.
 - **runtime**: median processor time per drive, on a machine with other load.
 
-[Peers](peers.md) describes the estimators. `--estimator robust,package.module:make`
+The estimators are [described below](#peers). `--estimator robust,package.module:make`
 adds your own. `--keep FOLDER` keeps finished runs, so that a later command continues from them,
 also with further estimators.
 """
