@@ -9,9 +9,9 @@ from homeward.geometry.frames import from_polar
 from homeward.lab.engine.batch import execution as noise
 from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import run_homing
+from homeward.lab.engine.native.compiler import NativeError, find_compiler
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter, augmented_ekf
 from homeward.lab.model import PolarModel
-from homeward.native.compiler import NativeError, find_compiler
 
 try:
     find_compiler()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from homeward.native import compiler, library
+from homeward.lab.engine.native import compiler, library
 
 
 @pytest.fixture(autouse=True)

@@ -3,9 +3,9 @@
 import casadi as ca
 import pytest
 
+from homeward.lab.engine.native.compiler import NativeError, find_compiler
 from homeward.lab.engine.native.source import NativeProgram
 from homeward.lab.engine.program import Program
-from homeward.native.compiler import NativeError, find_compiler
 
 try:
     COMPILER = find_compiler()

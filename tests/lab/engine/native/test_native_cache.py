@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from native_rig import answer, toy
 
+from homeward.lab.engine.native import compiler, library
+from homeward.lab.engine.native.cache import Cache, default_folder
 from homeward.lab.engine.native.source import NativeProgram
-from homeward.native import compiler, library
-from homeward.native.cache import Cache, default_folder
 
 
 def test_code_is_compiled_once_and_kept_for_its_owner_alone(cache, monkeypatch):

@@ -8,11 +8,11 @@ from native_rig import COMPILER, answer, toy
 from test_steps import run
 
 from homeward.lab.engine.estimators.runner import filter_machine
+from homeward.lab.engine.native import compiler
+from homeward.lab.engine.native.compiler import NativeError, find_compiler
 from homeward.lab.engine.native.source import choose
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.model import PolarModel
-from homeward.native import compiler
-from homeward.native.compiler import NativeError, find_compiler
 
 REAL = COMPILER.command[0]
 

@@ -10,9 +10,9 @@ from test_steps import kinds, run
 
 from homeward.lab.engine.batch.execution import execute
 from homeward.lab.engine.batch.job import Job, given_values
+from homeward.lab.engine.native import library
 from homeward.lab.engine.native.source import NativeProgram, source_of
 from homeward.lab.engine.program import OBSERVE, Program, filter_program
-from homeward.native import library
 
 Q = 3
 

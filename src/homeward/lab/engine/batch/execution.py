@@ -29,11 +29,11 @@ from homeward.lab.engine.batch.job import (
     job_of,
     shaped,
 )
+from homeward.lab.engine.native.library import Library
 from homeward.lab.engine.native.source import Source, choose, source_of
 from homeward.lab.engine.program import OBSERVE, Machine, filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
-from homeward.native.library import Library
 
 _Long = ctypes.c_int64
 _Pointer = ctypes.c_void_p

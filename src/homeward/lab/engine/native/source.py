@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from homeward.lab.engine.native.cache import default_folder
+from homeward.lab.engine.native.compiler import NativeError
 from homeward.lab.engine.native.emit import emit
+from homeward.lab.engine.native.library import Library, is_kept, load
 from homeward.lab.engine.program import OBSERVE, Program, allocate
 from homeward.lab.filters.settings import Engine
-from homeward.native.cache import default_folder
-from homeward.native.compiler import NativeError
-from homeward.native.library import Library, is_kept, load
 
 
 @lru_cache(maxsize=64)

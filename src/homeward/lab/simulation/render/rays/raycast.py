@@ -19,9 +19,9 @@ import numpy as np
 
 from homeward.drives.cameras.camera import tilt_matrix
 from homeward.geometry.se2 import rotation
+from homeward.lab.engine.native.compiler import NativeError
+from homeward.lab.engine.native.library import load
 from homeward.lab.simulation.render.rays.surfaces import Surfaces
-from homeward.native.compiler import NativeError
-from homeward.native.library import load
 
 SLACK = 1e-6
 """Rectangles extend beyond their edges by this, in tiles, so that no ray passes between two."""

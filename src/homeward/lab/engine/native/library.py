@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from homeward.io.writing import scratch_folder
-from homeward.native.cache import Cache, default_folder, key_of
-from homeward.native.compiler import Compiler, NativeError, find_compiler
+from homeward.lab.engine.native.cache import Cache, default_folder, key_of
+from homeward.lab.engine.native.compiler import Compiler, NativeError, find_compiler
 
 TEST_S = 60.0
 """Time limit for loading and calling a new library in another process [s]."""

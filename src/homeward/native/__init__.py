@@ -1,1 +1,0 @@
-"""C programs, compiled on first use for the processor of this machine."""
