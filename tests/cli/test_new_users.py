@@ -113,6 +113,7 @@ def test_info_prints_a_topics_file_to_complete_where_a_run_needs_one():
         (["export", "ekf"], "homeward export ekf --landmarks 12"),
         (["place", "serve", "hall", "--tcp", "7710"], "an MQTT broker"),
         (["compare", "robust", "ekf"], "use `homeward run DRIVE --estimator robust,ekf`"),
+        (["compare", "mine", "mine"], "--estimator A,B` to compare estimators"),
         (["import", "mine/home.csv", "--wheels", "radius=1"], "wheel_radius or omni_radius?"),
         (["import", "tags.json"], "or add a source (docs/do/sources.md)"),
         (["run", "mine", "--home-during=0,5"], "is now --home during:0,5"),
@@ -192,6 +193,15 @@ def test_the_command_after_an_export_compiles_and_runs_it(here):
     following = done(call("export", "ekf", "--landmarks", "3")).stdout.splitlines()[-1]
     command = following.removeprefix("Next: ")
     assert "heading" in subprocess.check_output(command, shell=True, text=True)
+
+
+@pytest.mark.parametrize("word", ["reflector", "Reflektor", "réflecteur"])
+def test_reflectors_are_landmarks(here, word):
+    for name in ("bearings.csv", "home.csv"):
+        (here / name).write_text((here / "mine" / name).read_text().replace("landmark", word, 1))
+    shutil.copy(here / "mine" / "odometry.csv", here)
+    shown = done(call("import", "odometry.csv", "bearings.csv", "home.csv")).stdout
+    assert len(re.findall(rf"{word} +landmark", shown)) == 2
 
 
 def test_text_files_with_numbers_are_tables(here):

@@ -59,7 +59,10 @@ _AMBIGUOUS = ("mil", "mils", "turn")
 """Units with two meanings, or names of roles."""
 _NO_UNITS = ("x", "y", "z", "w")
 """Texts in square brackets that are no unit but an axis."""
-LANDMARKS = "landmark tag marker beacon landmarke marke balise marqueur amer"
+LANDMARKS = (
+    "landmark tag marker beacon reflector landmarke marke reflektor "
+    "balise marqueur amer reflecteur réflecteur"
+)
 """Names of a landmark, which a number may follow: the column then has its bearings."""
 GYRO = "gyro.z gyroz gyro gz"
 """Names of the yaw rate of a gyroscope."""

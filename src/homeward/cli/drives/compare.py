@@ -45,6 +45,9 @@ def compare(
         raise InputError(
             "estimators, not panoramas", advice=f"use `homeward run DRIVE --estimator {home},{now}`"
         )
+    if folder := next(filter(Path.is_dir, (home, now)), None):
+        advice = "use `homeward run DRIVE --estimator A,B` to compare estimators"
+        raise InputError("a folder, not a panorama", folder, advice=advice)
     settings = read_image_settings(camera)
     home_image, home_view = read_features(home, settings.panorama, mask=mask or settings.mask)
     now_image, now_view = read_features(now, settings.panorama, like=home_view)
