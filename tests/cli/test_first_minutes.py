@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import typer
 import yaml
-from commands import call, first_seconds, refused
+from commands import call, done, first_seconds, refused
 from lab.studies.chores import draw_no_figures, in_this_process
 from typer.testing import CliRunner
 
@@ -345,3 +345,13 @@ def test_a_run_ends_with_the_next_command(tmp_path, monkeypatch):
     (tmp_path / "robot.yaml").write_text("sensor: {bearing_sigma: 0.01}\n")
     said = call("run", short, "--robot-file", "robot.yaml").stdout.splitlines()
     assert said[-1] == "Next: homeward live --tcp 7707 --robot-file robot.yaml"
+
+
+def test_the_note_on_scale_comes_once_for_a_robot(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    short = first_seconds(tmp_path / "short", 20.0)
+    (short / "drive.yaml").write_text("sensor: {x: 0.2}\n")
+    assert "One measured distance removes it" in call("run", short).stdout
+    (tmp_path / "robot.yaml").write_text("sensor: {bearing_sigma: 0.01}\n")
+    later = done(call("run", short, "--robot-file", "robot.yaml")).stdout
+    assert "One measured distance" not in later

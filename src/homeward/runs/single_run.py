@@ -29,7 +29,7 @@ from homeward.io.checks import Field
 from homeward.io.models import Strict
 from homeward.io.settings import read_tree, validated
 from homeward.localizer.inputs.sign_check import note_of_whole
-from homeward.localizer.localizer import Localizer
+from homeward.localizer.localizer import SCALE_NOTE, Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
 from homeward.runs.scoring import Metrics, score
@@ -132,7 +132,10 @@ def finish(
             track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
     else:
         track = follow(drive, estimator, progress)
-    return replace(track, notes=(*_in_its_file(track.notes, drive_path(run)), *notes))
+    found = track.notes
+    if run.robot_file is not None:  # `homeward tune`, which wrote it, notes the unknown scale
+        found = tuple(note for note in found if note != SCALE_NOTE)
+    return replace(track, notes=(*_in_its_file(found, drive_path(run)), *notes))
 
 
 def _in_its_file(notes: tuple[str, ...], place: Path) -> tuple[str, ...]:
