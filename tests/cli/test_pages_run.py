@@ -44,9 +44,9 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/do/install.md", "docs/do/places.md"])
-def test_commands_run_as_they_stand(page, here):
-    commands = shown(page)
+@pytest.mark.parametrize("name", ["choose", "install", "places", "plan", "routes", "README"])
+def test_commands_run_as_they_stand(name, here):
+    commands = shown("README.md" if name == "README" else f"docs/do/{name}.md")
     assert len(commands) > 1
     for words in commands:
         done(call(*words))
