@@ -81,6 +81,7 @@ def test_metrics_are_printed_as_a_short_table():
     there = track(steps(10), x=0.3)
     said = str(score(there, still(steps(10)))).splitlines()
     assert "position error  0.300 m RMSE, 0.300 m maximum" in said
+    assert "with a pose     100 %, first after 0.0 s (also unverified)" in said
     assert len(said) <= 7
     assert "error" not in str(score(there, None))
 

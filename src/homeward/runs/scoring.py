@@ -159,7 +159,8 @@ class Metrics:
             "with a pose": "unknown" if self.pose_share is None else _percent(self.pose_share),
         }
         if self.first_pose_after_s is not None:
-            rows["first pose"] = f"after {self.first_pose_after_s:.1f} s"
+            since = f"first after {self.first_pose_after_s:.1f} s"
+            rows["with a pose"] += f", {since} (also unverified)"
         if (accuracy := self.accuracy) is not None:
             place, heading = accuracy.position, accuracy.heading
             rows["position error"] = f"{place.rmse:.3f} m RMSE, {place.max:.3f} m maximum"
