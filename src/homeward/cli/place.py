@@ -41,7 +41,7 @@ def info(folder: Folder, json: AsJson = False) -> None:
 
 def _facts(place: Place) -> dict[str, Any]:
     """Return a place at its last visit as plain values."""
-    when = place.visits[-1].when
+    when = place.when
     stays, usual = place.stays(when), place.usual_rate
     return {
         "name": place.name,
