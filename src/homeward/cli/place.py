@@ -11,6 +11,7 @@ import typer
 from homeward.cli.drives.add import add
 from homeward.cli.options import AsJson, Authority, Mqtt, PasswordFile, say, show
 from homeward.errors import InputError
+from homeward.io.table import quoted
 
 if TYPE_CHECKING:
     from homeward.places.place import Place
@@ -181,7 +182,7 @@ def serve(
     for sign in (signal.SIGINT, signal.SIGTERM):
         signal.signal(sign, lambda *_: ended.set())
     merger = Merger(SharedPlace(folder, tuple(ignore or ())), broker, say)
-    merger.run(ended, lambda: say(f"the place is at {broker.url}"))
+    merger.run(ended, lambda: say(f"the place {quoted(merger.name)} is at {broker.url}"))
 
 
 @place.command()

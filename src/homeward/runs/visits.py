@@ -171,7 +171,7 @@ def save_visit(
         except HomewardError as error:
             lost.append(f"route {quoted(store.route)}: {error}")
     if not run.place_version:
-        after = first_place(Path(run.place).name, estimator, visit)
+        after = first_place(Path(run.place).resolve().name, estimator, visit)
         save_place(after, run.place, 0)
         return Saved(after, "", lost + visit.not_stored(after))
     before = load_place(run.place, run.place_version)
