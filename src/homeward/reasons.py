@@ -80,6 +80,18 @@ class Rejection(_Words):
     DIVERGED = "filter step diverged"
 
 
+ANOTHER_SIZE_ADVICE = (
+    "One of the two had wheels of another size, or wheels that spun: calibrate the robot with "
+    "homeward tune, or make a new place."
+)
+"""What to do about `another_size`."""
+
+
+def another_size(size: float) -> str:
+    """Return the statement on a place that is `size` times as large as the map of a drive [1]."""
+    return f"the place is {size:.2g} times as large as by the odometry of this drive"
+
+
 def too_few_agree(number: int) -> str:
     """Return the reason of a pose that only this number of home bearings confirms."""
     few = {0: "no home bearing agrees yet", 1: "only one home bearing agrees"}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from homeward.drives.drive import Drive
-from homeward.errors import needs_start_prior
+from homeward.errors import needs_start_prior, require_kind
 from homeward.estimator import Estimator
 from homeward.io.models import Strict
 from homeward.io.settings import validated
@@ -67,7 +67,9 @@ def make_estimator(
         For an unknown name, unusable settings, a missing start prior, or a third-party estimator
         that violates the protocol.
     """
-    return _entry(name)[1](drive, estimator_settings(name, settings))
+    make = _entry(name)[1]
+    require_kind(drive, Drive, "read one with open_drive(PATH)")
+    return make(drive, estimator_settings(name, settings))
 
 
 def estimator_settings(name: str, settings: Strict | dict[str, Any] | None = None) -> Strict:

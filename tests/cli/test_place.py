@@ -260,6 +260,31 @@ def test_a_drive_in_another_place_is_not_merged(hall, tmp_path):
     assert load_place(hall).persistence == load_place(hall, 2).persistence
 
 
+def test_drives_with_unix_stamps_have_the_dates_of_their_stamps(hall, tmp_path):
+    day = 20_800.25  # 2026-12-13
+    drive = open_drive(first_seconds(tmp_path / "short", 20.0))
+    for samples in (drive.odometry, drive.sightings):
+        samples.t[:] += 86_400.0 * day
+    save_drive(replace(drive, truth=None), tmp_path / "drive")
+    done(call("place", "add", hall, tmp_path / "drive", "--out", tmp_path / "out"))
+    assert load_place(hall).visits[-1].when == pytest.approx(day)
+    early = another_day(tmp_path / "early", 20.0)
+    words = "--when", "2026-11-20", "--out", tmp_path / "early-out"
+    said = done(call("place", "add", hall, early, *words)).output
+    assert "of 2026-11-20, is older than the last visit to the place, of 2026-12-13" in said
+
+
+def test_a_drive_of_a_robot_with_half_the_speed_is_not_merged_and_says_why(hall, tmp_path):
+    drive = open_drive(another_day(tmp_path / "short", 40.0))
+    drive.sightings.bearing[:] += 1e-3  # another drive than that of the place
+    drive.odometry.v[:] *= 0.5
+    save_drive(drive, tmp_path / "slow")
+    said = call("place", "add", hall, tmp_path / "slow", "--out", tmp_path / "out").output
+    assert "not merged" in said
+    assert "times as large as by the odometry of this drive. One of the two had wheels" in said
+    assert load_place(hall).persistence == load_place(hall, 2).persistence
+
+
 def test_info_of_a_place_as_json(visited):
     result = json.loads(call("place", "info", visited / "hall", "--json").stdout)
     assert [home["home"] for home in result["homes"]] == ["home", "dock 3"]

@@ -173,7 +173,7 @@ def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path, monkeyp
 
 def test_of_two_mergers_the_one_that_started_later_stays(broker, folder, monkeypatch):
     monkeypatch.setattr(merger, "TAKEOVER_S", 1.0)
-    other = shutil.copytree(folder, folder.parent / "other")
+    other = shutil.copytree(folder, folder.parent / "other" / folder.name)
     first = Merging(Broker(broker.url, "merger"), folder)
     time.sleep(1.1)
     with merging(broker.url, other) as second:
@@ -214,6 +214,15 @@ def test_a_quarantined_robot_is_informed(broker, folder):
     with merging(broker.url, folder), linked(broker.url, "a") as (a,):
         a.share(visited("wrong", scattered))
         wait(lambda: QUARANTINED in a.events)
+
+
+def test_a_folder_that_was_renamed_is_shared_by_its_name(broker, folder):
+    renamed = folder.rename(folder.parent / "hall-2")
+    with merging(broker.url, renamed) as running:
+        assert running.merger.name == "hall-2"
+        link = RobotLink(Broker(broker.url, "a"), "hall-2")
+        assert link.first.map.names == load_place(renamed).map.names
+        link.close()
 
 
 def test_a_place_that_nobody_serves_is_refused(broker, folder, monkeypatch):

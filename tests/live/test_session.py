@@ -241,6 +241,31 @@ def test_a_stamp_from_the_future_is_left_out_and_a_clock_set_ahead_or_back_is_fo
         assert not rig.session.faults(rig.robot.t - rig.robot.period)
 
 
+@pytest.mark.parametrize(
+    ("of", "wrong", "note"),
+    [
+        (
+            "bearings",
+            lambda t: 1e3 * t,
+            " s apart. Convert them to seconds if they are in milli",
+        ),
+        ("odometry", lambda t: 1e3 * t, "Convert them to seconds if they are in milliseconds."),
+        ("bearings", lambda t: 1e9 * t, "Convert them to seconds if they are in nanoseconds."),
+        ("bearings", lambda t: t + 1e3, "their stamps are 1,000 s ahead of those of twists. Use"),
+        ("odometry", lambda t: t + 1e9, "s ahead of those of frames. Use one clock for both"),
+    ],
+)
+def test_stamps_in_another_unit_or_clock_have_a_note_that_names_it(of, wrong, note):
+    rig = Rig(0)
+
+    def spoil(message):
+        return [message.model_copy(update={"t": wrong(message.t)} if message.type == of else {})]
+
+    rig.spoil = spoil
+    rig.until(lambda r: r.robot.t > 8.0)
+    assert note in rig.session.diagnostics(rig.robot.t).notes[0]
+
+
 def test_diagnostics_tell_whether_homing_could_begin():
     rig = Rig(0)
     early = rig.session.diagnostics(0.0)
@@ -267,6 +292,19 @@ def test_diagnostics_have_the_notes_of_the_localiser():
     session.request_landmarks()  # as each second
     list(session.process())
     assert "3 bearings beyond a full turn" in session.diagnostics(0.0).notes[0]
+
+
+def test_yaw_rates_in_degrees_per_second_have_a_note_that_names_it():
+    session = Session()
+    session.receive(SetHome(bearings={"a": 0.1, "b": 1.0, "c": 2.0}), 0.0)
+    for k in range(200):
+        turning = 20.0 if k > 150 else 0.5  # [deg/s]
+        session.receive(OdometryIn(t=0.05 * k, v=0.2, omega=turning), 0.05 * k)
+        list(session.process())
+    note = "49 of 200 twists have a yaw rate above 6.3 rad/s (360 degrees per second)"
+    session.request_landmarks()
+    list(session.process())
+    assert session.diagnostics(10.0).notes[0].startswith(note)
 
 
 def test_late_repeated_and_swapped_samples_do_no_harm():

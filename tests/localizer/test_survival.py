@@ -183,7 +183,9 @@ def test_what_is_missing_is_told():
     assert "no odometry" in Rig(ring(8), promise=None).drive(5, feel=False).reason
     rig = Rig(ring(8), promise=None)
     strangers = rig.drive(20, see=lambda seen: {f"x{n}": b for n, b in seen.items()})
-    assert strangers.reason == "none of the 8 landmarks that are mapped was seen from home"
+    none = "none of the 8 landmarks that are mapped was seen from home"
+    ids = "they have ids such as 'xL0' and 'xL1', those of home 'L0' and 'L1'"
+    assert strangers.reason == f"{none}: {ids}"
 
 
 def test_a_camera_worse_than_expected_is_found_out_before_it_is_believed():

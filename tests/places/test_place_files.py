@@ -16,9 +16,8 @@ from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.io.table import write_csv
 from homeward.places.files import NUM_KEPT, load_place, newest, save_place, undo, update_place
-from homeward.places.place import FIRST_DAY, LAST_DAY
+from homeward.places.place import FIRST_DAY, LAST_DAY, date
 from homeward.places.visiting import merged
-from homeward.runs.report.place_words import date
 
 
 @pytest.fixture

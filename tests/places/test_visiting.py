@@ -19,7 +19,8 @@ from homeward.places.files import load_place, save_place
 from homeward.places.place import DRIFT
 from homeward.places.views import VisitFrames
 from homeward.places.visit_data import collect_visit, last_frame
-from homeward.places.visiting import MAX_EVENTS, first_place, merged, merged_places
+from homeward.places.visiting import MAX_EVENTS, first_place, merged, merged_places, why_apart
+from homeward.runs.report.place_words import info_lines
 from homeward.track import run
 
 
@@ -102,6 +103,47 @@ def test_another_place_is_kept_apart():
     assert after.visits[-1].verdict == "apart"
     assert after.map is place.map
     assert after.persistence == place.persistence
+
+
+@pytest.mark.parametrize("size", [0.5, 0.8, 1.25])
+def test_a_drive_with_wheels_of_another_size_does_not_resize_a_place(size):
+    rng, places = np.random.default_rng(1), room()
+    place = new_place(places, rng)
+    data = visit_data(places, rng)
+    data = replace(data, map=replace(data.map, mean=size * data.map.mean))
+    after = merged(place, data)
+    assert after.map is place.map
+    assert after.visits[-1].verdict == "apart"
+    assert "times as large as by the odometry of this drive" in why_apart(place, data)
+    other = new_place({n: size * p for n, p in places.items()}, rng, name="theirs")
+    with pytest.raises(HomewardError, match=r"times as large as 'theirs'|two different places"):
+        merged_places(place, other)
+
+
+def test_a_drive_with_other_ids_has_them_in_the_refusal():
+    rng, places = np.random.default_rng(1), room()
+    data = visit_data({n.lower(): p for n, p in places.items()}, rng)
+    why = why_apart(new_place(places, rng), data)
+    assert "no landmark in common (ids such as 'l0' on the drive, 'L0' in the place)" in why
+
+
+def test_a_drive_of_an_earlier_day_does_not_move_landmarks_back():
+    rng, before = np.random.default_rng(0), room()
+    later = {**before, **{f"L{i}": before[f"L{i}"] + (0.6, -0.5) for i in range(3)}}
+    del later["L9"]
+    place = merged(new_place(before, rng), visit_data(later, rng, 3.0, frames=frames(later)))
+    assert events(place, "moved") == {"L0", "L1", "L2"}
+    old = replace(visit_data(before, rng, 2.0, frames=frames(before)), until=2.5)
+    after = merged(place, old)
+    assert events(after, "moved") == events(after, "returned") == events(after, "gone") == set()
+    names = list(later)
+    there = after.map.in_home_frame("home").marginal(names)
+    assert np.abs(there.positions - [later[n] for n in there.names]).max() < 0.2
+    assert after.persistence["L0"] == place.persistence["L0"]
+    assert info_lines(after)[0].endswith("three visits from 1970-01-01 to 1970-01-04.")
+    assert after.aged(3.0).covariance == pytest.approx(after.map.covariance)
+    again = merged(place, replace(old, until=4.0))  # it still went on then
+    assert events(again, "moved") == {"L0", "L1", "L2"}
 
 
 def test_too_few_in_common_is_no_proof():

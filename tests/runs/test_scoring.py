@@ -13,6 +13,7 @@ from homeward.errors import InputError
 from homeward.estimator import Counts, Status
 from homeward.localizer.smoothing import smooth
 from homeward.reasons import Rejection
+from homeward.registry import make_estimator
 from homeward.runs.scoring import (
     CHI_SQUARE_1_95,
     CHI_SQUARE_3_95,
@@ -244,5 +245,7 @@ def test_what_is_no_track_and_no_truth_is_refused_with_what_to_give():
         run(drive, "robust")
     with pytest.raises(InputError, match=r"a Drive is needed, not a .*; read one"):
         run(Path("sample"), None)
+    with pytest.raises(InputError, match="a Drive is needed, not a str; read one"):
+        make_estimator("robust", "sample")
     with pytest.raises(InputError, match="give the drive, not its track"):
         smooth("track")

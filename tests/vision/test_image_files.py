@@ -2,6 +2,7 @@
 
 import struct
 
+import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
@@ -31,6 +32,17 @@ def test_a_grey_and_a_coloured_image_are_read(tmp_path):
 def test_sixteen_bits_are_scaled_by_the_bits_in_use(tmp_path):
     Image.fromarray(picture().astype(np.uint16) * 16).save(tmp_path / "a.png")
     assert (read_grey(tmp_path / "a.png") == picture()).all()
+
+
+@pytest.mark.parametrize("kind", ["png", "tiff"])
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_a_coloured_image_of_a_camera_with_more_than_8_bits_is_not_black(tmp_path, kind, bits):
+    deep = np.stack([picture().astype(np.uint16)] * 3, -1) << (bits - 8)
+    cv2.imwrite(str(file := tmp_path / f"a.{kind}"), deep)
+    assert (read_grey(file) == picture()).all()
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(InputError):
+        read_grey(file)
 
 
 @pytest.mark.parametrize("kind", ["png", "tiff"])

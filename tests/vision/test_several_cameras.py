@@ -152,9 +152,28 @@ def without_a_tag_at_home(robot):
         cv2.imwrite(str(robot / name / "home.png"), np.full(SHAPE, 200, np.uint8))
 
 
+def with_mirrored_images_at_home(robot):
+    for name in ("front", "rear"):
+        file = str(robot / name / "home.png")
+        cv2.imwrite(file, cv2.imread(file, cv2.IMREAD_GRAYSCALE)[:, ::-1])
+
+
+def with_dark_images_at_home(robot):
+    for name in ("front", "rear"):
+        file = str(robot / name / "home.png")
+        cv2.imwrite(file, cv2.imread(file, cv2.IMREAD_GRAYSCALE) // 25)
+
+
+def with_an_image_of_another_size(robot):
+    cv2.imwrite(str(robot / "front" / "0.png"), np.full((80, 100), 200, np.uint8))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (with_mirrored_images_at_home, "no tag in the home image; the images are mirrored"),
+        (with_dark_images_at_home, "no tag in the home image; the images are dark; use"),
+        (with_an_image_of_another_size, "100x80 pixels, but the image before has 320x240"),
         (without_calibration, "rear/images.yaml: no calibration of this camera; set camera"),
         (with_another_video, "rear: 2 videos of one camera; keep one"),
         (with_a_name_that_is_no_id, "front : not a valid name of a camera; rename the folder"),

@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from homeward.cli.drives.add import add
 from homeward.cli.options import AsJson, Authority, Mqtt, PasswordFile, say, show
 from homeward.errors import InputError
+from homeward.io.table import quoted
 
 if TYPE_CHECKING:
     from homeward.places.place import Place
@@ -76,7 +77,7 @@ def info(folder: Folder, json: AsJson = False) -> None:
 
 def _facts(place: Place) -> dict[str, Any]:
     """Return a place at its last visit as plain values."""
-    when = place.visits[-1].when
+    when = place.when
     stays, usual = place.stays(when), place.usual_rate
     return {
         "name": place.name,
@@ -216,7 +217,7 @@ def serve(
     for sign in (signal.SIGINT, signal.SIGTERM):
         signal.signal(sign, lambda *_: ended.set())
     merger = Merger(SharedPlace(folder, tuple(ignore or ())), broker, say)
-    merger.run(ended, lambda: say(f"the place is at {broker.url}"))
+    merger.run(ended, lambda: say(f"the place {quoted(merger.name)} is at {broker.url}"))
 
 
 @place.command()

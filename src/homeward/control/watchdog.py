@@ -7,12 +7,15 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from homeward.drives.plausibility import UNITS
 from homeward.geometry.frames import Twist
 from homeward.odometry.validity import Clock
 
 AHEAD_S = 2.0
 """A stamp this far ahead of all others is an error, unless `SEVERAL` stamps agree with it [s]."""
 SEVERAL = 5
+NUM_STEPS, MIN_REFUSED = 15, 20
+"""Number of latest steps between stamps in the typical one, and of refused samples for a note."""
 CLEARED_S = 0.5
 """A fault lasts until its cause has been absent for this long [s]. Otherwise a sensor at its limit
 would start and stop the robot many times a second."""
@@ -67,15 +70,71 @@ class DrivingTime:
             self.seconds += dt
 
 
+class StampsOfKind:
+    """Stamps of the samples of one kind, for a note on their unit and clock."""
+
+    def __init__(self) -> None:
+        self.steps: deque[float] = deque(maxlen=NUM_STEPS)
+        """Steps between the latest ones [s]."""
+        self.newest = -math.inf
+        """The latest one [s]."""
+        self.number, self.refused = 0, 0
+
+    def add(self, t: float) -> None:
+        """Add the stamp of a sample [s]."""
+        self.steps.append(t - self.newest)
+        self.newest = t
+        self.number += 1
+
+    @property
+    def step(self) -> float:
+        """Median step [s]."""
+        return sorted(self.steps)[len(self.steps) // 2]
+
+
 class StampGate:
     """Accepts a clock that jumps ahead permanently, and refuses single stamps from the future."""
 
     def __init__(self) -> None:
         self._newest = -math.inf
         self._ahead: deque[float] = deque(maxlen=SEVERAL)
+        self._kinds: dict[str, StampsOfKind] = {}
 
-    def accepts(self, t: float) -> bool:
-        """Return whether the stamp `t` [s] of a sample is plausible."""
+    def accepts(self, t: float, kind: str) -> bool:
+        """Return whether the stamp `t` [s] of a sample is plausible.
+
+        `kind` has its name in the plural: samples of one kind have one clock.
+        """
+        stamps = self._kinds.setdefault(kind, StampsOfKind())
+        stamps.add(t)
+        is_plausible = self._is_plausible(t)
+        stamps.refused += not is_plausible
+        return is_plausible
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user on kinds of samples most of which were refused."""
+        return tuple(
+            self._note(kind, stamps)
+            for kind, stamps in self._kinds.items()
+            if stamps.refused >= MIN_REFUSED and 2 * stamps.refused > stamps.number
+        )
+
+    def _note(self, kind: str, stamps: StampsOfKind) -> str:
+        """Return the note on a kind of samples."""
+        words = f"{stamps.refused:,} of {stamps.number:,} {kind} were ignored: their stamps are"
+        if (step := stamps.step) > AHEAD_S:
+            unit = next((name for size, name in UNITS.items() if step <= size), "other units")
+            return f"{words} {step:,.4g} s apart. Convert them to seconds if they are in {unit}."
+        others = {n: stamps.newest - s.newest for n, s in self._kinds.items() if n != kind}
+        name, ahead = max(others.items(), key=lambda item: abs(item[1]), default=("others", 0.0))
+        return (
+            f"{words} {abs(ahead):,.0f} s {'ahead of' if ahead > 0 else 'behind'} those of {name}."
+            " Use one clock for both, in seconds."
+        )
+
+    def _is_plausible(self, t: float) -> bool:
+        """Return whether a stamp [s] is near the others, or agrees with several before it."""
         if self._newest == -math.inf or t < self._newest + AHEAD_S:
             self._ahead.clear()
             # A clock that was set back continues from there, which the estimators handle.

@@ -60,8 +60,8 @@ ROUNDED = (
 IMPLAUSIBLE = (
     "Odometry reported impossible motion {} times, first at {:.2f} s (speed or acceleration no "
     "wheeled robot has, or not a number). The motion up to the next twist was treated as unknown, "
-    "so the pose is less certain there. Look for encoder resets, counter overflow or damaged "
-    "messages."
+    "so the pose is less certain there. Look for encoder resets, counter overflow, damaged "
+    "messages, or speeds in another unit."
 )
 BEYOND_A_TURN = (
     "{} bearings beyond a full turn were wrapped: convert them to rad if they are in degrees."
@@ -69,6 +69,10 @@ BEYOND_A_TURN = (
 RARE = (
     f"Odometry comes at intervals of more than {MAX_TWIST_VALIDITY_S:g} s, for which its motion is "
     "unknown: convert its stamps to seconds if they are in another unit."
+)
+FAST_TURNS = (
+    "{:,} of {:,} twists have a yaw rate above 6.3 rad/s (360 degrees per second): convert omega"
+    " to rad/s if it is in deg/s."
 )
 """Notes on samples that come one by one, as to a localiser; the remarks are on whole files."""
 OTHER_CLOCK = "use stamps of one clock in seconds, and files that were recorded together"
@@ -202,9 +206,9 @@ NOISE_FACTOR = 12.0
 sample of a million with Gaussian noise exceeds it."""
 WINDOW_S, MAX_NEIGHBOURS = 0.5, 9
 """Neighbours of a sample on either side: those within this time [s], up to this number."""
-USUAL_SPEED, USUAL_TURN_RATE = 40.0, 6.3
+USUAL_SPEED, USUAL_TURN_RATE, USUAL_EXCEEDED = 40.0, 6.3, 0.05
 """Maximum plausible rates [m/s, rad/s] (a car; one rotation a second). A robot that exceeds one in
-5 % of its moving time probably reports other units."""
+this share of its moving time [1] probably reports other units."""
 SPEED_UNIT = "odometry samples faster than 40 m/s; convert the speeds to m/s if they are in mm/s"
 TURN_UNIT = (
     "odometry samples with a yaw rate above 6.3 rad/s; convert them to rad/s if they are in deg/s"
@@ -256,7 +260,7 @@ def _usual_rate(t: np.ndarray, rate: np.ndarray) -> float:
     time = np.where(rates > 0, duration, 0.0)[order].cumsum()
     if not time.size or time[-1] <= 0:
         return 0.0
-    return float(rates[order][time.searchsorted(0.95 * time[-1])])
+    return float(rates[order][time.searchsorted((1.0 - USUAL_EXCEEDED) * time[-1])])
 
 
 def _jumps(

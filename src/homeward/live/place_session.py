@@ -30,7 +30,7 @@ from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place, StoredHome
 from homeward.places.route import Route, map_of_estimates, route_of, taught_along
 from homeward.places.visit_data import VisitData, collect_visit_along, require_name
-from homeward.places.visiting import first_place, merged
+from homeward.places.visiting import first_place, merged, why_apart
 from homeward.registry import DEFAULT
 from homeward.runs.report.place_words import visit_words
 from homeward.runs.report.words import count
@@ -220,7 +220,10 @@ class PlaceSession:
         visit = self._with_stored(visit)
         after = self._save(localizer, visit, home)
         self._after, self.saved = after, True
-        return visit_words(after) + "".join(f" The {words}." for words in visit.not_stored(after))
+        before = self.place if after.visits[-1].verdict == "apart" else None
+        why = "" if before is None else why_apart(before, visit)
+        lost = "".join(f" The {words}." for words in visit.not_stored(after))
+        return visit_words(after, why) + lost
 
     def _save(self, localizer: Localizer, visit: VisitData, home: str) -> Place:
         """Merge the visit into the place, write it, and return it."""

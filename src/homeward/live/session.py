@@ -132,7 +132,8 @@ class Session:
         odom, t = None, math.nan
         match message:
             case msg.OdometryIn() | msg.BearingsIn():
-                if not self._gate.accepts(message.t):
+                is_odometry = isinstance(message, msg.OdometryIn)
+                if not self._gate.accepts(message.t, "twists" if is_odometry else "frames"):
                     self.counts["stamps far ahead of all others"] += 1
                     return
                 if isinstance(message, msg.OdometryIn):
@@ -371,7 +372,7 @@ class Session:
             advice=self.localisation.advice,
             faults=tuple(fault.reason for fault in faults),
             values={f.reason: f.value for f in faults if f.value is not None},
-            notes=self.localisation.notes,
+            notes=(*self._gate.notes, *self.localisation.notes),
             counts=counts,
             waiting=self.waiting,
             work_ms=1e3 * work,

@@ -45,7 +45,7 @@ def align_place(place: Place, survey: KnownLandmarks, source: Path | None = None
     `InputError`, naming `source`, where fewer than two remain, or where the positions differ more
     than their uncertainties allow with a probability of 0.1 %.
     """
-    here = place.aged(place.visits[-1].when).in_home_frame(place.origin)
+    here = place.aged(place.when).in_home_frame(place.origin)
     positions = np.array([(mark.x, mark.y) for mark in survey.landmarks.values()]).ravel()
     there = JointMap(tuple(survey.landmarks), (), positions, survey.joint_covariance)
     here = here.marginal(there.names, ())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -24,6 +25,11 @@ FIRST_DAY, LAST_DAY = -719_162.0, 2_932_896.0
 DRIFT = 0.002
 """Random walk of landmarks that are nudged [m / sqrt(day)]: after a year without a visit (4 cm), a
 place is no more accurate than the map of one drive."""
+
+
+def date(when: float) -> str:
+    """Return a day since 1970 as a date."""
+    return datetime.fromtimestamp(when * DAY_S, UTC).date().isoformat()
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,11 @@ class Place:
         return next(iter(self.homes))
 
     @property
+    def when(self) -> float:
+        """Day of the latest visit [days since 1970]; drives may be added in any order."""
+        return max(visit.when for visit in self.visits)
+
+    @property
     def tally(self) -> tuple[float, float]:
         """Number of changes of all landmarks, and their total time of observation [days]."""
         changes, watched = tally(self.persistence.values())
@@ -132,7 +143,7 @@ class Place:
 
     def aged(self, when: float) -> JointMap:
         """Return the map with the uncertainty that it has at `when` [days]."""
-        return self.map.aged(DRIFT**2 * max(when - self.visits[-1].when, 0.0))
+        return self.map.aged(DRIFT**2 * max(when - self.when, 0.0))
 
     def known(self, when: float, home: str | None = None) -> KnownLandmarks:
         """Return the place as known landmarks for a localiser, at `when` [days since 1970].

@@ -56,6 +56,8 @@ class VisitData:
     """Groups of landmarks that move together, as the drive gives them."""
     scale_sigma: float = 0.0
     """Standard deviation of an additional error of the scale of `map` [1]."""
+    until: float = math.inf
+    """Its end [days since 1970], where other visits may have begun after it."""
 
     def store_home(self, name: str, answer: Estimate, seen: Mapping[str, HomeBearing]) -> VisitData:
         """Return the data with a home at the pose of an estimate, and the bearings seen there.

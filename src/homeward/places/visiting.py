@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, count
 from typing import Any
@@ -13,8 +13,9 @@ import numpy as np
 from homeward.errors import HomewardError
 from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose, rotation
+from homeward.io.table import quoted
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.output.faces import moved_probabilities
+from homeward.localizer.output.faces import moved_probabilities, relative_size
 from homeward.localizer.tunables import CLOSE, GIVEN_WRONG, INLIER, VERIFIED
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import (
@@ -28,12 +29,20 @@ from homeward.places.persistence import (
 from homeward.places.place import Event, Place, StoredHome, Visit
 from homeward.places.views import Views
 from homeward.places.visit_data import VisitData, require_name
+from homeward.reasons import ANOTHER_SIZE_ADVICE, another_size
 
 MIN_STAYED_SHARE = 0.5
 """Minimum number of landmarks that stayed, as a share of the expected number. A visit with fewer is
 of another place, or most of the place was rearranged; it is not merged."""
 MAX_EVENTS = 4000
 """Number of events to keep, and of visits a tenth as many: a year of about one visit a day."""
+ANY_SIZE = 1.0
+"""Standard deviation of the scale of a map that may be of any size [1]."""
+ELSEWHERE = (
+    "It is another place, or most landmarks were moved or have other ids. Give another folder to "
+    "begin a new place."
+)
+"""What a drive that contradicts a place may be, and what to do."""
 FIRST_HOME = "home"
 """Default name of the first home."""
 
@@ -80,25 +89,61 @@ def _too_few(landmarks: int) -> HomewardError:
 def merged(place: Place, data: VisitData) -> Place:
     """Return a place after a visit: maps are fused, and moved, gone and new landmarks updated.
 
-    A visit that contradicts the place is only listed, as "apart". `InputError` if the drive is
-    already in the place, or stores a home or route whose name exists.
+    A visit that contradicts the place is only listed, as "apart". A landmark that was tested after
+    the end of the visit stays as it is. `InputError` if the drive is already in the place, or
+    stores a home or route whose name exists.
     """
     place.require_new(data.drive, data.evidence)
     placed = _well_placed(data.map)
-    scaled = replace(data, map=data.map.with_vague_scale(data.scale_sigma))
-    tested, stayed = _moved_probabilities(place, scaled)
-    stays = place.stays(data.when)
-    expected = sum(stays[n] for n in tested)
-    if len(stayed) < max(VERIFIED, MIN_STAYED_SHARE * expected):
+    tested, stayed = _compared(place, data)
+    if _contradiction(place, data, tested, stayed) is not None:
         return kept_apart(place, data)
     theirs = data.map
-    moved = [n for n, wrong in tested.items() if wrong > 0.5 and n in placed]
+    later = {n for n, p in place.persistence.items() if p.last > data.until}
+    moved = [n for n, wrong in tested.items() if wrong > 0.5 and n in placed and n not in later]
     new = [n for n in theirs.names if n in placed and n not in place.persistence]
     used = theirs.marginal({*stayed, *moved, *new})
     there = _with_map(place, data.when, used, stayed, data.scale_sigma)
     if there is None:
         return kept_apart(place, data)
-    return _with_stored(_updated(place, there, data, tested, moved, new), data)
+    return _with_stored(_updated(place, there, data, tested, moved, new, later), data)
+
+
+def why_apart(place: Place, data: VisitData) -> str:
+    """Return why `merged` keeps a visit apart from a place, with what to do."""
+    found = _contradiction(place, data, *_compared(place, data))
+    return found or f"it contradicts the distances of its landmarks. {ELSEWHERE}"
+
+
+def _compared(place: Place, data: VisitData) -> tuple[dict[str, float], list[str]]:
+    """Return the `_moved_probabilities` of a visit, with the errors of its scale."""
+    scaled = replace(data, map=data.map.with_vague_scale(data.scale_sigma))
+    return _moved_probabilities(place, scaled)
+
+
+def _contradiction(
+    place: Place, data: VisitData, tested: Collection[str], stayed: list[str]
+) -> str | None:
+    """Return why a visit contradicts a place, if it does; see `_moved_probabilities`."""
+    mine, theirs = place.map.names, data.map.names
+    if not {*mine} & {*theirs}:
+        named = f"{quoted(theirs[0])} on the drive, {quoted(mine[0])} in the place"
+        return f"they have no landmark in common (ids such as {named}). {ELSEWHERE}"
+    stays = place.stays(data.when)
+    expected = sum(stays[n] for n in tested)
+    fewest, agreeing = max(VERIFIED, MIN_STAYED_SHARE * expected), stayed
+    if len(stayed) < fewest:
+        of_any_size = replace(data, map=data.map.with_vague_scale(ANY_SIZE))
+        agreeing = _moved_probabilities(place, of_any_size)[1]
+    if len(agreeing) >= fewest:
+        own = data.map.marginal(agreeing).with_vague_scale(data.scale_sigma)
+        size = relative_size(*_common_maps(place, data.when, own, agreeing), place.map.size)
+        if size != 1.0:
+            return f"{another_size(size)}. {ANOTHER_SIZE_ADVICE}"
+    if agreeing is stayed:
+        return None
+    share = f"of {len(tested)} common landmarks, {len(stayed)} are where the place has them"
+    return f"{share}. {ELSEWHERE}"
 
 
 def kept_apart(place: Place, data: VisitData) -> Place:
@@ -117,7 +162,7 @@ def merged_places(place: Place, other: Place) -> Place:
     known = other.evidence
     place.require_new(other.name, known)
     names = _free_names(place.homes, other.homes, other.name)
-    when = max(place.visits[-1].when, other.visits[-1].when)
+    when = max(place.when, other.when)
     theirs = replace(other.aged(when), homes=tuple(names[h] for h in other.map.homes))
     theirs = theirs.marginal({n for n, stays in other.stays(when).items() if stays >= GONE})
     theirs_data = VisitData(other.name, known, when, theirs, together=other.together)
@@ -133,6 +178,12 @@ def merged_places(place: Place, other: Place) -> Place:
     there = _with_map(place, when, theirs, stayed)
     if there is None:
         raise differ
+    size = relative_size(*_common_maps(place, when, theirs, stayed), place.map.size)
+    if size != 1.0:
+        raise HomewardError(
+            f"{quoted(place.name)} is {size:.2g} times as large as {quoted(other.name)}: the wheels"
+            " of one of their robots had another size, or spun; calibrate it with homeward tune"
+        )
     now = there.map
     others = {n: replace(other.persistence[n], seen_from=()) for n in theirs.names}  # other frame
     both = {**place.persistence, **others}
@@ -204,8 +255,12 @@ def _updated(
     tested: dict[str, float],
     moved: list[str],
     new: list[str],
+    later: Collection[str],
 ) -> Place:
-    """Return a place with the persistence of each landmark, events and the visit updated."""
+    """Return a place with the persistence of each landmark, events and the visit updated.
+
+    Landmarks of `later` were tested after this visit, and are not changed.
+    """
     when, usual = data.when, before.usual_rate
     views = _views(data, before.map, before.home_pose(before.required(data.home)))
     persistence, missed = dict[str, LandmarkPersistence](), _missed(before, data, views)
@@ -215,6 +270,8 @@ def _updated(
         was = before.persistence.get(name)
         if was is None:
             persistence[name] = LandmarkPersistence(since=when, last=when)
+        elif name in later:
+            persistence[name] = was
         elif name in moved:
             persistence[name] = was.seen_elsewhere(when)
         elif name in tested and tested[name] <= 0.5:
@@ -248,18 +305,27 @@ def _updated(
 
 def _moved_probabilities(place: Place, data: VisitData) -> tuple[dict[str, float], list[str]]:
     """Return the probability that each common landmark moved, and the names of the others."""
-    before, stays, found = place.aged(data.when), place.stays(data.when), dict[str, float]()
-    common = [n for n in before.names if n in data.map.names]
+    stays, found = place.stays(data.when), dict[str, float]()
+    common = [n for n in place.map.names if n in data.map.names]
     if len(common) >= 2:
-        mine, theirs = before.marginal(common, ()).with_vague_datum(), data.map.marginal(common)
-        n, order = 2 * len(common), theirs.columns(mine.names)
-        known = mine.positions, mine.covariance[:n, :n]
-        mapped = theirs.mean[order], theirs.covariance[np.ix_(order, order)]
-        prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in mine.names])
-        about = mine.names, (*place.together, *data.together)
-        wrong = moved_probabilities(known, mapped, prior, before.size, *about)
-        found = dict(zip(mine.names, wrong.tolist(), strict=True))
+        maps = _common_maps(place, data.when, data.map, common)
+        prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in common])
+        about = common, (*place.together, *data.together)
+        wrong = moved_probabilities(*maps, prior, place.map.size, *about)
+        found = dict(zip(common, wrong.tolist(), strict=True))
     return found, [name for name, wrong in found.items() if wrong <= 0.5]
+
+
+def _common_maps(
+    place: Place, when: float, theirs: JointMap, common: Sequence[str]
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Return positions and covariances of common landmarks in a place at `when`, and elsewhere.
+
+    The landmarks, two or more, are in the order of the place.
+    """
+    mine, at = place.aged(when).marginal(common, ()).with_vague_datum(), theirs.columns(common)
+    mapped = theirs.mean[at].reshape(-1, 2), theirs.covariance[np.ix_(at, at)]
+    return (mine.positions, mine.covariance), mapped
 
 
 def _in_place_by_bodies(

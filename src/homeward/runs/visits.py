@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from homeward.drives.drive import Drive
 from homeward.drives.home.when import time_in
+from homeward.drives.importers.parts import UNIX_S
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.io.table import quoted
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.places.files import is_place, load_place, newest, save_place, update_place
-from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place
+from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place, date
 from homeward.places.visit_data import collect_visit, fingerprint, last_frame, require_name
-from homeward.places.visiting import FIRST_HOME, first_place, merged
+from homeward.places.visiting import FIRST_HOME, first_place, merged, why_apart
 from homeward.track import Track
 
 if TYPE_CHECKING:
@@ -29,6 +30,10 @@ PLACE_NOTE = "Poses are in the frame of home {} of the place, not of home bearin
 OTHERS_NOTE = " Other homes, for --place-home: {}."
 UNUSED_TRUTH_NOTE = (
     "Ground truth is not used: in a place it is in the frame of the first home, {}, not of home {}."
+)
+OLDER_NOTE = (
+    "This drive, of {}, is older than the last visit to the place, of {}: landmarks that were seen "
+    "since then stay where they are. --when YYYY-MM-DD gives another day."
 )
 SAME_DRIVE_NOTE = (
     "This drive is already in the place's map, so its errors are smaller than those of a new drive."
@@ -47,6 +52,17 @@ class ToStore:
 
 
 NOTHING = ToStore()
+
+
+class Saved(NamedTuple):
+    """Result of `save_visit`."""
+
+    place: Place
+    """Its new version."""
+    why_apart: str
+    """Why the visit was not merged; empty if it was."""
+    lost: list[str]
+    """Reasons why a home or route was not stored."""
 
 
 def in_place(run: RunSettings, drive: Drive) -> Drive:
@@ -76,6 +92,8 @@ def place_notes(run: RunSettings, drive: Drive) -> tuple[str, ...]:
     notes = [PLACE_NOTE.format(quoted(home)) + (others and OTHERS_NOTE.format(others))]
     if home != place.origin:
         notes.append(UNUSED_TRUTH_NOTE.format(quoted(place.origin), quoted(home)))
+    if run.when is not None and math.floor(run.when) < math.floor(place.when):
+        notes.append(OLDER_NOTE.format(date(run.when), date(place.when)))
     if fingerprint(drive) in place.evidence:
         notes.append(SAME_DRIVE_NOTE)
     return tuple(notes)
@@ -115,7 +133,9 @@ def day_of(run: RunSettings, drive: Drive) -> float:
     """Return the day of a visit [days since 1970]; `InputError` where it is not a date."""
     epoch, when = drive.settings.epoch, run.when
     if when is None:
-        when = (time.time() if epoch is None else epoch + drive.span[0]) / DAY_S
+        start = drive.span[0] + (epoch or 0)
+        is_dated = epoch is not None or UNIX_S[0] <= start < UNIX_S[1]
+        when = (start if is_dated else time.time()) / DAY_S
     if not FIRST_DAY <= when <= LAST_DAY:
         raise InputError(
             f"the day of the visit, {when:g} days since 1970, is not a date; give --when YYYY-MM-DD"
@@ -125,16 +145,19 @@ def day_of(run: RunSettings, drive: Drive) -> float:
 
 def save_visit(
     run: RunSettings, drive: Drive, estimator: Estimator, track: Track, store: ToStore = NOTHING
-) -> tuple[Place, list[str]]:
+) -> Saved:
     """Merge a run into the newest version of its place, and save it.
 
-    Drive, estimator and track are from `prepare` and `finish`. Return the new version of the place,
-    and the reasons why a home or route was not stored. `HomewardError` where there is too little to
-    keep, or the place cannot be written.
+    Drive, estimator and track are from `prepare` and `finish`. `HomewardError` where there is too
+    little to keep, or the place cannot be written.
     """
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None
-    visit = collect_visit(estimator, drive, track, day_of(run, drive), run.place_home)
+    when = day_of(run, drive)
+    visit = collect_visit(estimator, drive, track, when, run.place_home)
+    hours = (drive.span[1] - drive.span[0]) / DAY_S
+    until = math.nextafter(when + 1.0, when) if when.is_integer() else when + hours  # --when: a day
+    visit = replace(visit, until=until)
     lost: list[str] = []
     if store.home is not None:
         until = math.inf if store.home_at is None else time_in(drive, store.home_at)
@@ -148,8 +171,16 @@ def save_visit(
         except HomewardError as error:
             lost.append(f"route {quoted(store.route)}: {error}")
     if not run.place_version:
-        after = first_place(Path(run.place).name, estimator, visit)
+        after = first_place(Path(run.place).resolve().name, estimator, visit)
         save_place(after, run.place, 0)
-    else:
-        after, _ = update_place(run.place, lambda known: merged(known, visit))
-    return after, lost + visit.not_stored(after)
+        return Saved(after, "", lost + visit.not_stored(after))
+    before = load_place(run.place, run.place_version)
+
+    def with_visit(known: Place) -> Place:
+        nonlocal before
+        before = known
+        return merged(known, visit)
+
+    after, _ = update_place(run.place, with_visit)
+    why = why_apart(before, visit) if after.visits[-1].verdict == "apart" else ""
+    return Saved(after, why, lost + visit.not_stored(after))

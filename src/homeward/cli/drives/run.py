@@ -235,12 +235,12 @@ def run_one(
             from homeward.runs.visits import save_visit
 
             try:
-                after, reasons = save_visit(complete, drive, estimator, track, store)
+                after, why_apart, reasons = save_visit(complete, drive, estimator, track, store)
             except HomewardError as error:  # raised after the summary is printed
                 lost = error
             else:
                 lost = HomewardError("; ".join(reasons)) if reasons else None
-                words.append(visit_words(after))
+                words.append(visit_words(after, why_apart))
                 if store.route in after.routes:
                     words.append(route_words(after, str(store.route)))
     if json:

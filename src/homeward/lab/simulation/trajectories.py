@@ -74,7 +74,7 @@ def as_visitor(scenario: Scenario, drive: Drive) -> Drive:
 
 def _day(repeat: Repeat, place: Place) -> float:
     """Return the day of a repeat [days since 1970]."""
-    return place.visits[-1].when + 1.0 if repeat.when is None else repeat.when
+    return place.when + 1.0 if repeat.when is None else repeat.when
 
 
 Command = Twist | None

@@ -78,6 +78,11 @@ class Merger:
         self._left: list[tuple[str, int]] = []
         """Versions of the map that are to be deleted, and the numbers of their parts."""
 
+    @property
+    def name(self) -> str:
+        """Name of the place at the broker: that of its folder."""
+        return self._shared.folder.resolve().name
+
     def run(self, ended: threading.Event, ready: Callable[[], None] = lambda: None) -> None:
         """Merge until `ended`; `ready` is called when the place is published.
 
@@ -89,7 +94,8 @@ class Merger:
             for problem in self._shared.problems:
                 self._log(problem)
             self._epoch = self._next_epoch()
-            name, topics = self._shared.place.name, (MANIFEST, f"{VISIT}/+/+", f"{STATE}/+")
+            # A folder that was copied or renamed has another name than the place in it.
+            name, topics = self.name, (MANIFEST, f"{VISIT}/+/+", f"{STATE}/+")
             self._began = time.monotonic()
             try:
                 self._connection = Connection(

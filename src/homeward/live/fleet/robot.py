@@ -111,7 +111,10 @@ class RobotLink:
         with self._news:
             if not self._news.wait_for(lambda: self._place is not None, TIMEOUT_S):
                 self._connection.close()
-                raise InputError(f"no merger of the place {quoted(place)} answers at {broker.url}")
+                raise InputError(
+                    f"no merger of the place {quoted(place)} answers at {broker.url}; --place has"
+                    " the name that homeward place serve prints"
+                )
             assert self._place is not None
             self.first: Place = self._place
             self._send()

@@ -13,7 +13,14 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from homeward.drives.plausibility import BEYOND_A_TURN, IMPLAUSIBLE, RARE
+from homeward.drives.plausibility import (
+    BEYOND_A_TURN,
+    FAST_TURNS,
+    IMPLAUSIBLE,
+    RARE,
+    USUAL_EXCEEDED,
+    USUAL_TURN_RATE,
+)
 from homeward.drives.robot import with_camera
 from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.geometry.statistics import MAD_TO_SIGMA
@@ -344,6 +351,8 @@ class Plausibility:
         """... and the sizes of the latest changes."""
         self._number, self._first = 0, math.nan
         self._newest, self._twists, self._rare, self._beyond = math.inf, 0, 0, 0
+        self._turning, self._fast = 0, 0
+        """Number of twists with a yaw rate, and with one that is unusual."""
 
     def accepts(self, t: float, v: float, omega: float, vy: float = 0.0) -> bool:
         """Return whether a twist of stamp `t` [s] is plausible; count it if not.
@@ -358,6 +367,8 @@ class Plausibility:
         if self._last is None and math.isfinite(t):
             self._last = (t - START_S, 0.0, 0.0, 0.0)
         twist = v, omega, vy
+        self._turning += abs(omega) > 0.0
+        self._fast += abs(omega) > USUAL_TURN_RATE
         if self._last is not None and all(abs(rate) < MAX_RATE for rate in twist):
             before, *last = self._last
             time = max(abs(t - before), MIN_INTERVAL_S)
@@ -381,10 +392,12 @@ class Plausibility:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
+        fast = self._fast >= max(NUM_CHANGES, USUAL_EXCEEDED * self._turning)
         rare = self._twists >= NUM_CHANGES and 2 * self._rare > self._twists
         return (
             *((BEYOND_A_TURN.format(self._beyond),) if self._beyond else ()),
             *((RARE,) if rare else ()),
+            *((FAST_TURNS.format(self._fast, self._turning),) if fast else ()),
             *((IMPLAUSIBLE.format(self._number, self._first),) if self._number else ()),
         )
 

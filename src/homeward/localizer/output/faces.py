@@ -16,7 +16,12 @@ from homeward.localizer.map.landmarks import numbers
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.evidence import tested
+from homeward.localizer.map.survey.evidence import (
+    Residuals,
+    is_another_size,
+    stretch,
+    tested,
+)
 from homeward.localizer.map.survey.factors import Datum, SurveyFactors, align, rotated
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import ProcessNoise
@@ -44,6 +49,7 @@ __all__ = [
     "estimated_calibration",
     "moved_probabilities",
     "predicted_bearings",
+    "relative_size",
     "rotated",
 ]
 
@@ -186,11 +192,31 @@ def moved_probabilities(
     together : iterable of sequences of str
         Groups of landmarks that move together, as given.
     """
+    factors, free = _as_survey(before, now)
+    at = np.arange(len(factors.places))
+    bodies = find_bodies(names, factors.places, given_bodies(together, names), size)
+    return tested(factors, free, at, prior, size, bodies).wrong
+
+
+def relative_size(
+    before: tuple[np.ndarray, np.ndarray], now: tuple[np.ndarray, np.ndarray], size: float
+) -> float:
+    """Return the size of a map over that of a second one [1], or 1 if they do not contradict.
+
+    The arguments are those of `moved_probabilities`, of landmarks that did not move.
+    """
+    factors, free = _as_survey(before, now)
+    found = 1.0 + stretch(Residuals.of(factors, free, np.arange(len(factors.places)), size))
+    return found if is_another_size(found) else 1.0
+
+
+def _as_survey(
+    before: tuple[np.ndarray, np.ndarray], now: tuple[np.ndarray, np.ndarray]
+) -> tuple[SurveyFactors, Marginal]:
+    """Return the first of two maps of k landmarks as a survey, and the second as a state."""
     (places, surveyed), (positions, mapped) = before, now
     k, none = len(places), (np.zeros((0, 2), int), np.zeros(0), np.zeros(0))
     factors = SurveyFactors(np.arange(k), places, surveyed, *none)
     covariance = np.zeros((HEAD + 2 * k, HEAD + 2 * k))
     covariance[HEAD:, HEAD:] = mapped
-    free = Marginal(np.concatenate([np.zeros(HEAD), positions.ravel()]), covariance)
-    bodies = find_bodies(names, places, given_bodies(together, names), size)
-    return tested(factors, free, np.arange(k), prior, size, bodies).wrong
+    return factors, Marginal(np.concatenate([np.zeros(HEAD), positions.ravel()]), covariance)

@@ -11,6 +11,8 @@ from homeward.estimator import MIN_AGREEING, Estimate, Innovation, Status
 from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import rotation
 from homeward.geometry.statistics import positive
+from homeward.io.naming import natural
+from homeward.io.table import quoted
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.output.pose import (
@@ -49,7 +51,10 @@ def why_home_is_not_found(
     if not mapped:
         return "no landmark is mapped yet; drive an arc to see them from other places"
     if not used and len(mapped) >= MINIMAL:
-        return f"none of the {len(mapped)} landmarks that are mapped was seen from home"
+        first = (sorted(ids, key=natural)[:2] for ids in (mapped, home))
+        own, others = (" and ".join(map(quoted, ids)) for ids in first)
+        none = f"none of the {len(mapped)} landmarks that are mapped was seen from home"
+        return f"{none}: they have ids such as {own}, those of home {others}"
     needed = f"{MINIMAL} are needed; drive an arc"
     return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
 

@@ -10,11 +10,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from homeward.io.writing import write_whole
-from homeward.places.place import Place
+from homeward.places.place import Place, date
 from homeward.runs.report import html, words
 from homeward.runs.report.canvas import legend_below, plain, styled_figure, svg
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, VERMILLION
-from homeward.runs.report.place_words import date, info_lines
+from homeward.runs.report.place_words import info_lines
 
 MAX_LABELS = 60
 """Maximum number of landmarks whose names are drawn."""
@@ -61,7 +61,7 @@ def _visit_rows(place: Place) -> list[list[object]]:
 
 def _landmark_rows(place: Place) -> list[list[object]]:
     """Return the landmarks with the highest rates of changes."""
-    usual, stays = place.usual_rate, place.stays(place.visits[-1].when)
+    usual, stays = place.usual_rate, place.stays(place.when)
     sigmas = dict(zip(place.map.names, place.map.sigmas.tolist(), strict=True))
     head = ["Landmark", "probability of a change in a day", "moved", "visits that saw it there"]
     rows: list[list[object]] = [[*head, "probability in place", "position sigma [m]"]]
@@ -76,7 +76,7 @@ def _landmark_rows(place: Place) -> list[list[object]]:
 
 def _draw_map(place: Place) -> Figure:
     """Draw the landmarks as estimated at the last visit, and their moves."""
-    stays = place.stays(place.visits[-1].when)
+    stays = place.stays(place.when)
     with styled_figure(5.2) as figure:
         axes = figure.add_subplot()
         before: dict[str, tuple[float, float]] = {}

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import math
-from datetime import UTC, datetime
 
 from homeward.places.alignment import Alignment
 from homeward.places.persistence import GONE
-from homeward.places.place import DAY_S, Place
+from homeward.places.place import Place, date
+from homeward.places.visiting import ELSEWHERE
 from homeward.runs.report.words import count, listing, name, percent
 
 
-def date(when: float) -> str:
-    """Return a day since 1970 as a date."""
-    return datetime.fromtimestamp(when * DAY_S, UTC).date().isoformat()
-
-
-def visit_words(place: Place) -> str:
-    """Describe what the last visit found in a place."""
+def visit_words(place: Place, why_apart: str = "") -> str:
+    """Describe what the last visit found in a place, and why it was not merged, if so."""
     visit = place.visits[-1]
     if visit.verdict == "first":
         return f"{place.name}: a new place, with {count(visit.of, 'landmark')}."
     if visit.verdict == "apart":
         return (
-            f"{place.name}: this drive was not merged, because it contradicts the place: it is "
-            "another place, or most landmarks were moved. Give another folder to begin a new place."
+            f"{place.name}: this drive was not merged, because it contradicts the place: "
+            f"{why_apart or ELSEWHERE}"
         )
     parts = [f"{visit.stayed:,} stayed"]
     for what in ("moved", "gone", "returned", "new"):
@@ -66,11 +61,11 @@ def forget_words(place: Place) -> str:
 
 def info_lines(place: Place) -> list[str]:
     """Describe a place at its last visit: landmarks, rate of changes, homes and routes."""
-    first, when = place.visits[0], place.visits[-1].when
+    first, when = min(visit.when for visit in place.visits), place.when
     stays = place.stays(when)
     in_place = sum(p >= GONE for p in stays.values())
     changes, watched = place.tally
-    begun, now = date(first.when), date(when)
+    begun, now = date(first), date(when)
     days = f"on {now}" if begun == now else f"from {begun} to {now}"
     lines = [
         f"{place.name}: {count(len(stays), 'landmark')}, {in_place:,} probably in place;"

@@ -15,8 +15,9 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from homeward.errors import InputError, naming_file
 from homeward.io.reading import naming, opened
-from homeward.vision.cameras.grey import MAX_PIXELS, Mask, eight_bits, require_size
+from homeward.vision.cameras.grey import MAX_PIXELS, Mask, as_grey, eight_bits, require_size
 from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.opencv import opencv
 
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
 
@@ -42,7 +43,11 @@ def decoded_grey(stream: IO[bytes], path: Path) -> np.ndarray:
             warnings.simplefilter("ignore")
             with Image.open(stream, formats=FORMATS) as image:
                 _check(image)
-                return _grey(_upright(image))
+                is_deep_colour = _is_deep_colour(image)
+                upright = _upright(image)
+                if is_deep_colour:  # Pillow drops the lower 8 bits: all of a dark image
+                    upright = _upright(_deep_grey(stream, image))
+                return _grey(upright)
     except InputError as error:
         error.at(path)
         raise
@@ -78,6 +83,22 @@ def _check(image: Image.Image) -> None:
     require_size(*image.size)
     if (frames := getattr(image, "n_frames", 1)) > 1:
         raise InputError(f"contains {frames} frames; give one image per file")
+
+
+def _is_deep_colour(image: Image.Image) -> bool:
+    """Return whether an image that is not decoded yet is in colour with 16 bits a channel."""
+    modes = [str(tile[3]) for tile in getattr(image, "tile", ())]
+    return image.mode.startswith("RGB") and any(";16" in mode for mode in modes)
+
+
+def _deep_grey(stream: IO[bytes], image: Image.Image) -> Image.Image:
+    """Decode a complete image in colour with 16 bits to 8-bit grey, with its Exif orientation."""
+    cv2 = opencv()
+    stream.seek(0)
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    grey = Image.fromarray(as_grey(cv2.imdecode(np.frombuffer(stream.read(), np.uint8), flags)))
+    grey.getexif().update(image.getexif())
+    return grey
 
 
 def _upright(image: Image.Image) -> Image.Image:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,10 +29,12 @@ from homeward.vision.recorded.folder import (
     see_folder,
 )
 from homeward.vision.recorded.settings import IMAGE_SETTINGS, settings_in
-from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
+from homeward.vision.tags.front_end import TagBearings, TagFrontEnd, why_no_tags
 from homeward.vision.tags.messages import tag_eye
 
 NO_TAGS = "pictures without a tag"
+NUM_EXAMINED = 10
+"""Number of images that are examined for the reason if none has a tag."""
 
 
 class PictureFiles:
@@ -191,7 +193,10 @@ class TagCamera:
             reason = "no calibration of this camera; set camera: {file: FILE} in it"
             raise InputError(reason, self.folder / IMAGE_SETTINGS)
         size = self.settings.tag_size
-        self._eye = TagFrontEnd(self.settings.camera, family or "36h11", size)
+        self._family = family or "36h11"
+        self._eye = TagFrontEnd(self.settings.camera, self._family, size)
+        self._shape: tuple[int, ...] | None = None
+        """Height and width of the first image [px]: a calibration is of one size."""
         self.frames = Video(path) if video else PictureFiles(path, self.remarks)
         if not self.frames.t.size:
             raise InputError("it contains no pictures", path)
@@ -210,19 +215,41 @@ class TagCamera:
     def home(self, place: Path) -> dict[str, HomeBearing]:
         """Return the home bearings from the home image `place`."""
         with naming_file(place):
-            seen = self._eye.see(read_grey(place)).home
+            seen = self._see(read_grey(place)).home
         return {name: replace(bearing, camera=self.name) for name, bearing in seen.items()}
 
     def seen(self) -> Iterator[tuple[float, TagBearings]]:
         """Yield the stamp [s] and the tags of each picture; `remarks` counts those left out."""
         counts: Counter[str] = Counter()
-        for t, frame in zip(self.frames.t.tolist(), self.frames, strict=True):
+        number, without = len(self.frames.t), list[np.ndarray]()
+        for k, (t, frame) in enumerate(zip(self.frames.t.tolist(), self.frames, strict=True)):
             with naming_file(Path(f"picture{self.suffix} at {t:g} s")):
-                seen = self._eye.see(frame)
+                seen = self._see(frame)
             counts[DUPLICATE] += len(seen.tags.twice)
             counts[NO_TAGS] += not seen.bearings
+            if counts[NO_TAGS] > k and k % (1 + number // NUM_EXAMINED) == 0:
+                without.append(frame)
             yield t, seen
+        if counts[NO_TAGS] == number and (why := self.why_no_tags(without)):
+            counts[f"{NO_TAGS}: {why}"] = counts.pop(NO_TAGS)
         self.remarks |= {reason: count for reason, count in counts.items() if count}
+
+    def _see(self, image: np.ndarray) -> TagBearings:
+        """Return the tags of an image; `InputError` if its size is not that of the others."""
+        shape = image.shape[:2]
+        self._shape = self._shape or shape
+        if shape != self._shape:
+            (height, width), (first_height, first_width) = shape, self._shape
+            raise InputError(
+                f"{width}x{height} pixels, but the image before has {first_width}x{first_height}:"
+                " a camera and its calibration have one size"
+            )
+        return self._eye.see(image)
+
+    def why_no_tags(self, images: Iterable[np.ndarray]) -> str | None:
+        """Return why there is no tag in some images, and what to do; None if it is not evident."""
+        reasons = (why_no_tags(image, self.settings.camera, self._family) for image in images)
+        return next(filter(None, reasons), None)
 
 
 def _home(
@@ -241,7 +268,8 @@ def _home(
             if name not in home or seen.sigma < home[name].sigma:
                 home[name] = seen
     if not home:
-        raise InputError("no tag in the home image", image)
+        why = camera.why_no_tags(map(read_grey, images))
+        raise InputError("no tag in the home image", image, advice=why)
     for camera in cameras:
         if camera not in images.values():
             remarks[f"camera without a home image: {quoted(camera.name)}"] = 1

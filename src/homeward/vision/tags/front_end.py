@@ -178,6 +178,28 @@ def family_of(family: str) -> Any:
     return aruco.getPredefinedDictionary(getattr(aruco, name))
 
 
+OTHER_FAMILIES = "36h11", "36h10", "25h9", "6x6_250", "5x5_250", "aruco_mip_36h12"
+"""Families in which chance detections are rare."""
+MIN_BRIGHTNESS = 40
+"""Minimum of the brightest hundredth of an image's pixels that is not dark [grey levels]."""
+
+
+def why_no_tags(image: np.ndarray, camera: Camera | None, family: str) -> str:
+    """Return why an image in any format of `as_grey` has no tag of a family, and what to do.
+
+    Empty if that is not evident from the image.
+    """
+    grey = as_grey(image)
+    if TagFrontEnd(camera, family).see(np.ascontiguousarray(grey[:, ::-1])).bearings:
+        return "the images are mirrored; mirror them back"
+    for other in OTHER_FAMILIES:
+        if TagFrontEnd(camera, other).see(grey).bearings:
+            return f"the tags are of family {other}; use --tags {other}"
+    if np.quantile(grey, 0.99) < MIN_BRIGHTNESS:
+        return "the images are dark; use a longer exposure, or scale their values"
+    return ""
+
+
 class TagFrontEnd:
     """Turns images into bearings of the tags of one family.
 

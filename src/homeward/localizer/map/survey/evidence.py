@@ -27,8 +27,11 @@ from homeward.localizer.map.survey.factors import (
 from homeward.localizer.motions import HEAD
 from homeward.localizer.tunables import (
     EXCHANGED,
+    GATE,
     IMPROBABLE,
     MAX_TESTED,
+    MIN_CHANGE,
+    MIN_SCALE,
     NUM_NEIGHBOURS,
     UNDECIDED,
     VAGUE_DATUM,
@@ -155,6 +158,17 @@ def relative_scale(residuals: Residuals) -> tuple[float, float]:
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack([along, off]))
     information = float(whitened[:, 0] @ whitened[:, 0])
     return -float(whitened[:, 0] @ whitened[:, 1]) / information, information**-0.5
+
+
+def stretch(residuals: Residuals) -> float:
+    """Return the `relative_scale` where it is beyond its error, else 0 [1]."""
+    off, sigma = relative_scale(residuals)
+    return off if abs(off) > GATE * sigma else 0.0
+
+
+def is_another_size(size: float) -> bool:
+    """Return whether a map that is `size` times as large as another one contradicts it."""
+    return abs(math.log(max(size, MIN_SCALE))) > math.log1p(MIN_CHANGE)
 
 
 def _wrong_given(

@@ -17,11 +17,17 @@ from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
 from homeward.localizer.map.landmarks import Landmark, Landmarks, numbers
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.evidence import Residuals, relative_scale, tested
+from homeward.localizer.map.survey.evidence import (
+    Residuals,
+    is_another_size,
+    stretch,
+    tested,
+)
 from homeward.localizer.map.survey.factors import SurveyFactors, coordinates, in_survey_frame
 from homeward.localizer.motions import HEAD, SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import CLOSE, GATE, MIN_CHANGE, MIN_SCALE, MINIMAL
+from homeward.localizer.tunables import CLOSE, MINIMAL
+from homeward.reasons import ANOTHER_SIZE_ADVICE, another_size
 
 
 class Survey:
@@ -130,8 +136,7 @@ class Survey:
         if not (self.known.is_place and self.used):
             return
         agreeing = self.factors(self.used, [], numbers)
-        off, sigma = relative_scale(Residuals.of(agreeing, free, ids, self.size))
-        self.stretch = off if abs(off) > GATE * sigma else 0.0
+        self.stretch = stretch(Residuals.of(agreeing, free, ids, self.size))
 
     def factors(
         self, names: list[str], pairs: list[int], numbers: Mapping[str, int]
@@ -165,20 +170,27 @@ class Survey:
 
     def contradiction(self, in_view: frozenset[str]) -> str | None:
         """Return why the landmarks in view verify no pose, where some contradict each other."""
-        size = max(1.0 + self.stretch, MIN_SCALE)
-        if abs(math.log(size)) > math.log1p(MIN_CHANGE):
-            return f"the place is {size:.2g} times as large as by the odometry of this drive"
+        if self._other_size is not None:
+            return self._other_size
         for pair in self.contradicting:
             if not in_view.isdisjoint(pair):
                 a, b = map(quoted, pair)
                 return f"known landmarks {a} and {b} contradict each other; drive on"
         return None
 
+    @property
+    def _other_size(self) -> str | None:
+        """Statement on the size of a place that contradicts that of the map; None if it agrees."""
+        size = 1.0 + self.stretch
+        return another_size(size) if is_another_size(size) else None
+
     def notes(self, state: Marginal) -> tuple[str, ...]:
         """Return notes for the user, the map being in `state`."""
         speed, sigma = state.calibration[SPEED_SCALE], state.calibration_variances[SPEED_SCALE]
         words = ["Speed scale estimated from the known landmarks: true speeds are"]
         words[0] += f" {1.0 + speed:.3f} +- {math.sqrt(sigma):.3f} x those of odometry."
+        if self._other_size is not None:
+            words = [f"{self._other_size.capitalize()}. {ANOTHER_SIZE_ADVICE}"]
         if self.places:
             exchanged = self.exchanged
             wrong = (n for n, p in self.wrong.items() if p > 0.5 and n not in exchanged)
