@@ -580,6 +580,8 @@ NATS_KEPT = 2.0
 """Below this, an assignment of home bearings is withdrawn [nats]."""
 COPIED = 0.75
 """Probability that a landmark of a place that repeats another one is at its copy's position."""
+NUM_CELLS = 30
+"""Cells along each side of a map whose area out of view is measured: to 3 %."""
 NATS_DIFFERENT = 4.0
 """Log odds against a place that repeats itself, before anything is mapped: one in 50 does, and
 each path as long as the reach on which the map is not extended adds one [nats]."""
@@ -618,5 +620,5 @@ all sightings: of a wrong pose, up to a third fit by chance."""
 MIN_RETURNS = 2
 """Returns that prove the position of a landmark: one in 20 single ones is of another landmark."""
 LINK_FRAMES, LINK_SHARE = 10, 0.25
-"""Frames in which a landmark must be seen with an anchored one, and share of its own sightings: by
-chance it is a tenth."""
+"""Frames in which a landmark must be seen with an anchored one, or from a proven pose, and share of
+its own sightings: by chance it is a tenth."""

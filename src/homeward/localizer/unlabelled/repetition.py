@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from homeward.geometry.angles import TWO_PI
-from homeward.localizer.tunables import COPIED, DETECTED, INLIER, MAX_SCORED
+from homeward.localizer.tunables import COPIED, DETECTED, INLIER, MAX_SCORED, NUM_CELLS
 from homeward.localizer.unlabelled.constellation import Match, Sky
 
 
@@ -23,13 +23,14 @@ def log_repetition(sky: Sky, found: Match, kinds: np.ndarray) -> float:
     copy has the class (n,) of its landmark, where both have one.
     """
     at, variance = sky.points @ [1.0, 1j], 0.5 * sky.covariances.trace(axis1=1, axis2=2)
-    home, area = complex(*found.pose[:2]), float(np.subtract(*sky.box[::-1]).prod())
+    home = complex(*found.pose[:2])
     in_view = np.abs(at - home) < sky.reach
     in_view[found.landmark[found.landmark >= 0]] = True
     a, b = np.flatnonzero(in_view), np.flatnonzero(~in_view)
     none = b.size * math.log(1.0 - COPIED)
     if min(a.size, b.size) < 2:
         return none
+    area = _area_out_of_view(sky, home)
     (i, j), (k, m) = np.argwhere(~np.eye(a.size, dtype=bool)).T, np.triu_indices(b.size, 1)
     same = (kinds[a, None] == kinds[b]) | (kinds[a, None] == "") | (kinds[b] == "")
     number = np.maximum(same.sum(axis=0), 1)
@@ -56,3 +57,14 @@ def log_repetition(sky: Sky, found: Match, kinds: np.ndarray) -> float:
     is_missing = (square > INLIER**2).all(axis=2) & (np.abs(copies - home) < sky.reach)
     gain += each.sum(axis=1) + is_missing.sum(axis=1) * math.log(1.0 - DETECTED)
     return float(np.logaddexp(none, np.logaddexp.reduce(gain) + math.log(share)))
+
+
+def _area_out_of_view(sky: Sky, home: complex) -> float:
+    """Return the area of the map out of view from a home [m^2], by a grid of its bounds.
+
+    In a larger one, landmarks of no copy would be less dense, and any two would seem to be copies.
+    """
+    low, high = sky.points.min(axis=0), sky.points.max(axis=0)
+    x, y = np.linspace(low, high, NUM_CELLS).T
+    is_out = np.abs(x + 1j * y[:, None] - home) > sky.reach
+    return float((high - low).prod() * max(is_out.mean(), 1.0 / NUM_CELLS))
