@@ -254,6 +254,9 @@ KINDS: dict[str, Callable[[int], Pair]] = {
     "3 classes": partial(open_hall, number=15, classes=3, reach=6.0),
     "8 with ids": partial(open_hall, with_ids=8),
     "carried": partial(open_hall, carried=True),
+    "carried, camera of 90": partial(
+        open_hall, carried=True, field=math.pi / 2, reach=7.0, duration=400.0
+    ),
     "square": square,
     "two rooms": two_rooms,
     "mrclam 6": partial(mrclam, "MRCLAM_Dataset6", (1, 2, 3, 4, 5)),

@@ -245,11 +245,12 @@ def test_unmapped_surroundings_show_nothing_of_repetition():
     assert log_repetition(short, at_origin(*range(6)), np.full(6, "")) == 0.0
 
 
+@pytest.mark.parametrize(("sigma", "reach"), [(0.03, 4.5), (0.8, 5.5), (0.8, 6.5)])
 @pytest.mark.parametrize("seed", range(5))
-def test_a_hall_is_evidence_against_repetition(seed):
+def test_a_hall_is_evidence_against_repetition(seed, sigma, reach):
     points = benchmark.scattered(seed, 25)
-    covariance, allowed = equal_covariance(25, 0.03), np.ones((3, 25), bool)
-    given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
+    covariance, allowed = equal_covariance(25, sigma), np.ones((3, 25), bool)
+    given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, reach)
     assert log_repetition(given, at_origin(), np.full(25, "")) < NATS_DIFFERENT - NATS_APART
 
 
@@ -345,13 +346,34 @@ def test_a_robot_whose_landmarks_are_met_by_chance_is_lost(seed, pair):
     detection, chance = np.full(6, 0.8), np.full(6, 0.25)
     right, wrong = Loss(), Loss()
     for k in range(300):
-        is_met = rng.random(6) < 0.8 + 0.2 * 0.25
-        assert not right.begins(0.2 * k, 8, detection, chance, is_met, chart)
+        right.add_frame(8, detection, chance, rng.random(6) < 0.8 + 0.2 * 0.25)
+        assert not right.begins(0.2 * k, chart)
     is_lost = False
     for k in range(25):  # a third of the landmarks are mistaken for others, and always met
         is_met = (rng.random(6) < 0.25) | (np.arange(6) < 2)
-        is_lost |= wrong.begins(0.2 * k, 8, detection, chance, is_met, chart)
+        wrong.add_frame(8, detection, chance, is_met)
+        is_lost |= wrong.begins(0.2 * k, chart)
     assert is_lost
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_robot_that_meets_former_landmarks_by_chance_stays_lost(seed, pair):
+    rng = np.random.default_rng(seed)
+    chart = Localizer(pair.without.home, **pair.without.settings.robot).chart
+    loss = Loss()
+    loss.add_frame(3, np.full(20, 0.8), np.full(20, 0.25), np.zeros(20, bool))
+    assert loss.begins(0.0, chart)
+    loss.former = {"~1", "~2", "~3", "~4"}
+    detection, chance = np.full(2, 0.8), np.full(2, 0.25)
+    for _ in range(300):  # half of those in view have their names by chance
+        loss.add_frame(3, detection, chance, rng.random(2) < 0.25)
+        assert not loss.ends(["~1", "~2", "~3", "~9"])
+    has_ended = False
+    for _ in range(50):
+        loss.add_frame(3, detection, chance, rng.random(2) < 0.85)
+        assert not loss.ends(["~1", "~2", "~8", "~9"])
+        has_ended |= loss.ends(["~1", "~2", "~3", "~9"])
+    assert has_ended
 
 
 def test_landmarks_seen_with_their_ids_do_not_count_as_missed():
@@ -450,6 +472,20 @@ def test_landmarks_that_are_found_again_between_visits_at_home_are_anchored():
         assert not anchors.are_enough
     anchors, _ = visited([HOME, OTHER] * 3)
     assert anchors.are_enough
+
+
+@pytest.mark.parametrize("seen_at_home", [1, 3])
+def test_landmarks_seen_with_those_of_home_by_chance_are_not_anchored(seen_at_home):
+    anchors, chart = visited([HOME])
+    known = Registry()
+    for k in range(200):
+        names = [*OTHER, *np.roll(HOME, k)[:seen_at_home].tolist()]
+        known.add_frame(names, HOME)
+        anchors.add_frame(10.0 + 0.2 * k, names)
+        anchors.update(chart, known, HOME)
+    for k in range(20):
+        anchors.add_frame(50.0 + 0.2 * k, OTHER)
+    assert anchors.are_enough == (seen_at_home == 3)
 
 
 def test_landmarks_that_were_anchored_to_another_home_are_not():

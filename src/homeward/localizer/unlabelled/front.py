@@ -311,22 +311,25 @@ class UnlabelledLandmarks:
         `is_met` is whether any bearing may be of a landmark.
         """
         live = forecast.is_live & ~forecast.is_tentative
-        names = forecast.names
-        if self.is_lost:
-            if self._loss.ends([names[j] for j in np.flatnonzero(live)]):
-                self._loss.end(chart, self.known)
-            return self.is_lost
+        names, mapped = forecast.names, chart.map.landmarks.mapped
         known = [self.known.seen.get(n, [0, 0])[0] >= MIN_MISSES for n in names]
         is_expected = np.array(known, bool) & self._is_near(forecast, tracks)
         in_view = [tracks.clutter.is_in_view(b) for b in forecast.mean.tolist()]
-        is_expected |= live & np.array(in_view, bool)
-        is_expected &= np.array([n in chart.map.landmarks.mapped for n in names], bool)
+        if self.is_lost:  # a wrong identity stays while its landmark is live
+            is_expected &= ~live & np.array([n in self._loss.former for n in names], bool)
+        else:
+            is_expected |= live & np.array(in_view, bool)
+            is_expected &= np.array([n in mapped for n in names], bool)
         expected = np.flatnonzero(is_expected)
         detection = np.array([self.known.detection(names[j]) for j in expected.tolist()])
         variance = forecast.covariance.diagonal()[expected] + seen.sigma**2 + seen.late**2
         gate = np.minimum(2.0 * ASSOCIATION_GATE * np.sqrt(variance) / tracks.clutter.width, 1.0)
         chance = 1.0 - (1.0 - gate) ** len(seen.keys)
-        if self._loss.begins(seen.t, len(seen.keys), detection, chance, is_met[expected], chart):
+        self._loss.add_frame(len(seen.keys), detection, chance, is_met[expected])
+        if self.is_lost:
+            if self._loss.ends([names[j] for j in np.flatnonzero(live)]):
+                self._loss.end(chart, self.known)
+        elif self._loss.begins(seen.t, chart):
             tracks.clear()
         return self.is_lost
 
@@ -409,7 +412,7 @@ class UnlabelledLandmarks:
             self._anchors.update(chart, self.known, self.home.named())
         mapped = chart.map.landmarks.mapped
         usable = {n: self.known.kinds.get(n, "") for n in mapped if n not in self.known.aliases}
-        self._anchors.add_frame(t, self._in_frame)
+        self._anchors.add_frame(t, self._in_frame, fits=not self._loss.is_suspected)
         seen = {*self.names.values()}
         distances = chart.map.landmarks.distances(n for n in usable if n in seen)
         established = {n: d for n, d in distances.items() if mapped[n].established}

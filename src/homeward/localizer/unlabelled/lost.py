@@ -31,50 +31,53 @@ class Loss:
         self.at = math.inf
         """When the robot was lost [s]; infinite if it is not."""
         self._searched_at = -math.inf
-        self._mapped: set[str] = set()
+        self.former: set[str] = set()
         """Landmarks that were mapped when the robot was lost."""
         self._evidence = 0.0
-        """Log likelihood ratio of the map as estimated over any other pose, at most 0."""
+        """Log likelihood ratio of the map as estimated over any other pose, at most 0, by frames
+        of three or more sightings, ..."""
+        self._evidence_of_all = 0.0
+        """... and by all."""
 
     @property
     def is_suspected(self) -> bool:
         """Whether the newest frames do not fit the map."""
-        return self.at < math.inf or self._evidence < -SUSPECTED
+        evidence = min(self._evidence, self._evidence_of_all)
+        return self.at < math.inf or evidence < -SUSPECTED
 
-    def begins(
-        self,
-        t: float,
-        num_seen: int,
-        detection: np.ndarray,
-        chance: np.ndarray,
-        is_met: np.ndarray,
-        chart: Chart,
-    ) -> bool:
-        """Return whether landmarks that are expected in view are met by chance only (Page, 1954).
+    def add_frame(
+        self, num_seen: int, detection: np.ndarray, chance: np.ndarray, is_met: np.ndarray
+    ) -> None:
+        """Add whether landmarks that are expected in view are met (Page, 1954).
 
         `detection` and `chance` (k,) are the probabilities that a landmark is seen, and that it is
-        met by any bearing elsewhere.
+        met by any bearing elsewhere. Where few are seen, the others may be hidden, or out of reach.
         """
+        seen = np.minimum(detection, DETECTED)
+        met = np.log((seen + (1.0 - seen) * chance) / np.maximum(chance, 1e-3))
+        evidence = float(np.where(is_met, met, np.log1p(-seen)).sum())
+        self._evidence_of_all = min(max(self._evidence_of_all + evidence, -LOST), 0.0)
         if num_seen >= MINIMAL:
-            seen = np.minimum(detection, DETECTED)
-            met = np.log((seen + (1.0 - seen) * chance) / np.maximum(chance, 1e-3))
-            evidence = float(np.where(is_met, met, np.log1p(-seen)).sum())
-            self._evidence = min(self._evidence + evidence, 0.0)
+            self._evidence = min(max(self._evidence + evidence, -LOST), 0.0)
+
+    def begins(self, t: float, chart: Chart) -> bool:
+        """Return whether landmarks that are expected in view are met by chance only."""
         if self._evidence > -LOST:
             return False
-        self.at, self._mapped = t, set(chart.map.landmarks.mapped)
+        self.at, self.former = t, set(chart.map.landmarks.mapped)
         return True
 
     def ends(self, names: Collection[str]) -> bool:
-        """Return whether most landmarks in view are of the former map again."""
-        old = sum(n in self._mapped for n in names)
-        return old >= MINIMAL and old > MAJORITY * len(names)
+        """Return whether the sightings fit the former map again, and most are of its landmarks."""
+        old = sum(n in self.former for n in names)
+        return self._evidence == 0.0 and old >= MINIMAL and old > MAJORITY * len(names)
 
     def end(self, chart: Chart, known: Registry) -> None:
         """End the search: landmarks that began during it are mapped elsewhere than they are."""
-        new = chart.map.landmarks.mapped.keys() - self._mapped
+        new = chart.map.landmarks.mapped.keys() - self.former
         known.aliases |= {n: "" for n in new if NAME in n}
-        self.at, self._evidence, self._mapped = math.inf, 0.0, set()
+        self.at, self.former = math.inf, set()
+        self._evidence = self._evidence_of_all = 0.0
 
     def search(
         self,
@@ -93,7 +96,7 @@ class Loss:
             return {}
         self._searched_at = t
         mapped = chart.map.landmarks.mapped
-        names = [n for n in mapped if n in self._mapped and n not in known.aliases]
+        names = [n for n in mapped if n in self.former and n not in known.aliases]
         if len(names) < MINIMAL or len(keys) <= MINIMAL:
             return {}
         points, covariance = relative_places(chart, names)

@@ -55,10 +55,11 @@ def duplicates(chart: Chart, known: Registry) -> Iterator[tuple[str, str]]:
 class Anchors:
     """Landmarks whose positions relative to those of home are proven.
 
-    Those of home are the first, then those that are often seen together with three anchored ones,
-    or found again where they are mapped after anchored ones were met meanwhile. If odometry or the
-    robot has slipped, landmarks mapped later are seen with the former ones by chance only, and are
-    not found where they are mapped from there; they are not anchored.
+    Those of home are the first, with those that had often been seen together with three of them.
+    Later ones are often seen from poses that anchored ones prove, or found again where they are
+    mapped after such a pose. If odometry or the robot has slipped, landmarks mapped later are seen
+    with the former ones by chance only, and are not found where they are mapped from there; they
+    are not anchored.
     """
 
     def __init__(self) -> None:
@@ -73,9 +74,15 @@ class Anchors:
         """When each landmark was seen last [s], ..."""
         self._returns = Counter[str]()
         """... and how often it was seen again after such a time."""
+        self._from_proven = Counter[str]()
+        """In how many frames each was seen with three anchored ones, or from a pose that enough of
+        them prove with two."""
 
-    def add_frame(self, t: float, names: Collection[str]) -> None:
-        """Add the landmarks of the sightings of a frame at `t` [s], empty for none."""
+    def add_frame(self, t: float, names: Collection[str], fits: bool = True) -> None:
+        """Add the landmarks of the sightings of a frame at `t` [s], empty for none.
+
+        `fits` is whether the newest frames fit the map.
+        """
         self._recent.extend((t, n) for n in names)
         if len(names) >= MINIMAL:
             self._is_met = sum(n in self._anchored for n in names) >= ANCHORED * len(names)
@@ -84,8 +91,11 @@ class Anchors:
         seen = {*names} - {""}
         self._returns.update(n for n in seen if self._seen_at.get(n, t) < self._enough_at)
         self._seen_at |= dict.fromkeys(seen, t)
+        least = MINIMAL
         if self.are_enough:
-            self._enough_at = t
+            self._enough_at, least = t, MINIMAL - 1
+        if fits and len(seen & self._anchored) >= least:
+            self._from_proven.update(seen)
 
     @property
     def are_enough(self) -> bool:
@@ -99,24 +109,35 @@ class Anchors:
         """Update the anchored landmarks of a map by those of home."""
         mapped = chart.map.landmarks.mapped.keys()
         first = {*of_home} & mapped
-        if not first & self._anchored:  # another home
+        is_new = not first & self._anchored  # another home
+        if is_new:
             self._anchored = set()
             self._seen_at.clear()
             self._returns.clear()
+            self._from_proven.clear()
         self._anchored |= first
         self._anchored -= known.aliases.keys()
         open_ = mapped - known.aliases.keys() - self._anchored
-        grown = True
+        grown = is_new
         while grown:
             new = {n for n in open_ if self._is_linked(n, known)}
             self._anchored |= new
             open_ -= new
             grown = bool(new)
+        self._anchored |= {n for n in open_ if self._is_proven(n, known)}
 
     def _is_linked(self, name: str, known: Registry) -> bool:
-        """Return whether a landmark's position relative to anchored ones is proven."""
-        if self._returns[name] >= MIN_RETURNS:
-            return True
-        least = max(LINK_FRAMES, LINK_SHARE * known.seen.get(name, [0, 0])[0])
+        """Return whether a landmark was often seen together with three anchored ones."""
+        least = _often(name, known)
         often = sum(known.linked[in_order(name, other)] >= least for other in self._anchored)
         return often >= MINIMAL
+
+    def _is_proven(self, name: str, known: Registry) -> bool:
+        """Return whether a landmark's position relative to anchored ones is proven."""
+        often = self._from_proven[name] >= _often(name, known)
+        return often or self._returns[name] >= MIN_RETURNS
+
+
+def _often(name: str, known: Registry) -> float:
+    """Return the number of frames that is more than by chance for a landmark."""
+    return max(LINK_FRAMES, LINK_SHARE * known.seen.get(name, [0, 0])[0])
