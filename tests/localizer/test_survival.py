@@ -162,7 +162,17 @@ def test_two_landmarks_never_give_a_pose():
     answer = rig.drive(60)
     assert all(a.pose is None for a, _ in rig.answers)
     assert answer.status is Status.MAPPING
-    assert answer.reason == "home saw only 2 landmarks; 3 are needed"
+    assert answer.reason == "home saw only 2 landmarks; 4 are needed for a verified pose"
+
+
+@pytest.mark.parametrize(("number", "seen"), [(1, "1 landmark"), (3, "3 landmarks")])
+def test_home_bearings_too_few_to_check_each_other_are_named(number, seen):
+    rig = Rig(ring(8), promise=None)
+    home = dict(list(rig.home.items())[:number])
+    rig.localizer = Localizer(home, **rig.settings.robot)
+    answer = rig.drive(10)
+    assert answer.pose is None
+    assert answer.reason == f"home saw only {seen}; 4 are needed for a verified pose"
 
 
 def test_a_twist_that_no_robot_makes_is_left_out():

@@ -14,7 +14,15 @@ import numpy as np
 from homeward.drives.drive import HomeBearing
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, Mount
-from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
+from homeward.estimator import (
+    MIN_AGREEING,
+    NO_BEARINGS_S,
+    Counts,
+    Estimate,
+    Innovation,
+    LandmarkEstimate,
+    Status,
+)
 from homeward.geometry.frames import between
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
@@ -41,7 +49,11 @@ from homeward.localizer.output.faces import (
     predicted_bearings,
 )
 from homeward.localizer.output.landmark_report import LandmarkReport
-from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
+from homeward.localizer.output.status import (
+    IntegrityMonitor,
+    too_few_at_home,
+    why_home_is_not_found,
+)
 from homeward.localizer.recovery.monitor import Health, Monitor, carried_since, odometry_lost
 from homeward.localizer.recovery.relocalise import at_pose, by_odometry, find_by_frame, pose_reset
 from homeward.localizer.recovery.survey_fix import FirstFix, Resected, Resection
@@ -240,9 +252,9 @@ class Chart:
 
         `complaint` is the reason to give where there is no pose.
         """
+        surveyed = self._known.landmarks if self._is_surveyed_from_home else ()
+        seen = {*self.home.observation.bearings, *surveyed}
         if self.home.hypotheses is None:
-            surveyed = self._known.landmarks if self._is_surveyed_from_home else ()
-            seen = {*self.home.observation.bearings, *surveyed}
             sets = self.map.landmarks.mapped, seen, self.home.names
             words = complaint or why_home_is_not_found(*sets, bool(self._twists))
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
@@ -259,7 +271,8 @@ class Chart:
         late = self.between_stamps(t, self._twists)
         found = self._integrity.estimate(t, moved, late, self.coasts(t), innovations)
         if found.pose is None:
-            return dataclasses.replace(found, reason=complaint or found.reason)
+            words = found.reason if len(seen) >= MIN_AGREEING else too_few_at_home(len(seen))
+            return dataclasses.replace(found, reason=complaint or words)
         if found.status in (Status.LOCALISED, Status.COASTING):
             doubt = None
             if self._known.landmarks:

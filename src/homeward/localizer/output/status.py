@@ -45,7 +45,7 @@ def why_home_is_not_found(
         Whether odometry has come yet.
     """
     if len(home) < MINIMAL:
-        return f"home saw only {len(home)} landmarks; {MINIMAL} are needed"
+        return too_few_at_home(len(home))
     if not has_odometry:
         return "no odometry has come yet; without it no landmark can be mapped"
     if not mapped:
@@ -57,6 +57,12 @@ def why_home_is_not_found(
         return f"{none}: they have ids such as {own}, those of home {others}"
     needed = f"{MINIMAL} are needed; drive an arc"
     return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
+
+
+def too_few_at_home(number: int) -> str:
+    """Return that home saw too few landmarks to check each other."""
+    landmarks = "1 landmark" if number == 1 else f"{number} landmarks"
+    return f"home saw only {landmarks}; {MIN_AGREEING} are needed for a verified pose"
 
 
 class IntegrityMonitor:
