@@ -190,6 +190,17 @@ def test_ranges_bring_the_first_pose_and_the_notes_report_them(sigma):
     assert float(note.split("They are ")[1].split()[0]) == pytest.approx(1.1, abs=0.1)
 
 
+def test_the_note_on_ranges_says_what_to_do_where_they_do_not_fit():
+    given = RangeInput(None, surveyed=False)
+    assert given.notes(0, 0, 1.0, 0.1) == ()
+    (right,) = given.notes(200, 10, 1.02, 0.04)
+    assert right.endswith("the distances from odometry.")
+    (other,) = given.notes(200, 10, 0.486, 0.02)
+    assert "Check the size of the tags" in other
+    (noisy,) = given.notes(277, 761, 1.0, 0.02)
+    assert "range_sigma" in noisy
+
+
 def test_keyframes_with_ranges_leave_the_window():
     """The oldest are marginalised with their ranges, while the window has later poses."""
     rig = RangedRig(ring(8), tuned=LocalizerSettings(window=10, longest_window=12))

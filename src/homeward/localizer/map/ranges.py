@@ -47,6 +47,7 @@ from homeward.localizer.reference.factors import (
 )
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
+    CLOSE,
     FIXED_SPEED_SCALE,
     INLIER,
     LINEAR,
@@ -192,6 +193,10 @@ def place_by_ranges(
 
 
 NOTE = "Ranges: {:,} used, {:,} rejected. They are {:.3f} +- {:.3f} x the distances from odometry."
+OTHER_SCALE = " Check the size of the tags, or the wheels: one of the two has another scale."
+NOISY_RANGES = (
+    " Give their noise, as a share of a range: `range_sigma` under `sensor:` in drive.yaml."
+)
 SURVEYED_NOTE = (
     "Bearings came with {:,} ranges, which are not used: landmarks.yaml gives the scale."
 )
@@ -234,10 +239,15 @@ class RangeInput:
         return usable, len(given) - len(usable)
 
     def notes(self, used: int, rejected: int, scale: float, sigma: float) -> tuple[str, ...]:
-        """Return a note for the user if any ranges came.
+        """Return a note for the user if any ranges came, with what to do where they do not fit.
 
         `scale` is that of ranges over distances from odometry, `sigma` its standard deviation [1].
         """
         if self._unused:
             return (SURVEYED_NOTE.format(self._unused),) if self._surveyed else ()
-        return (NOTE.format(used, rejected, scale, sigma),) if used + rejected else ()
+        if not used + rejected:
+            return ()
+        note = NOTE.format(used, rejected, scale, sigma)
+        if abs(scale - 1.0) > max(INLIER * sigma, CLOSE):
+            note += OTHER_SCALE
+        return (note + NOISY_RANGES * (rejected > used),)
