@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
+from statistics import median_high
 from typing import NamedTuple
 
 from homeward.drives.plausibility import UNITS
@@ -89,7 +90,7 @@ class StampsOfKind:
     @property
     def step(self) -> float:
         """Median step [s]."""
-        return sorted(self.steps)[len(self.steps) // 2]
+        return median_high(self.steps)
 
 
 class StampGate:

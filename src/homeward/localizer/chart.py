@@ -252,10 +252,8 @@ class Chart:
 
         `complaint` is the reason to give where there is no pose.
         """
-        surveyed = self._known.landmarks if self._is_surveyed_from_home else ()
-        seen = {*self.home.observation.bearings, *surveyed}
         if self.home.hypotheses is None:
-            sets = self.map.landmarks.mapped, seen, self.home.names
+            sets = self.map.landmarks.mapped, self._seen_from_home, self.home.names
             words = complaint or why_home_is_not_found(*sets, bool(self._twists))
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         if self.monitor.is_lost:
@@ -271,7 +269,8 @@ class Chart:
         late = self.between_stamps(t, self._twists)
         found = self._integrity.estimate(t, moved, late, self.coasts(t), innovations)
         if found.pose is None:
-            words = found.reason if len(seen) >= MIN_AGREEING else too_few_at_home(len(seen))
+            number = len(self._seen_from_home)
+            words = found.reason if number >= MIN_AGREEING else too_few_at_home(number)
             return dataclasses.replace(found, reason=complaint or words)
         if found.status in (Status.LOCALISED, Status.COASTING):
             doubt = None
@@ -294,6 +293,12 @@ class Chart:
         if self._contradiction.is_proved:
             return self._contradiction.applied(found, state, motion)
         return found
+
+    @property
+    def _seen_from_home(self) -> set[str]:
+        """Landmarks that home saw, and those of a survey that gives home."""
+        surveyed = self._known.landmarks if self._is_surveyed_from_home else ()
+        return {*self.home.observation.bearings, *surveyed}
 
     def between_stamps(self, t: float, twists: TwistHistory) -> np.ndarray:
         """Motion (3,) up to `t` [s] in the lag of odometry behind the bearings [m, m, rad].

@@ -131,11 +131,11 @@ def _contradiction(
         return f"they have no landmark in common (ids such as {named}). {ELSEWHERE}"
     stays = place.stays(data.when)
     expected = sum(stays[n] for n in tested)
-    fewest, agreeing = max(VERIFIED, MIN_STAYED_SHARE * expected), stayed
-    if len(stayed) < fewest:
+    needed, agreeing = max(VERIFIED, MIN_STAYED_SHARE * expected), stayed
+    if len(stayed) < needed:
         of_any_size = replace(data, map=data.map.with_vague_scale(ANY_SIZE))
         agreeing = _moved_probabilities(place, of_any_size)[1]
-    if len(agreeing) >= fewest:
+    if len(agreeing) >= needed:
         own = data.map.marginal(agreeing).with_vague_scale(data.scale_sigma)
         size = relative_size(*_common_maps(place, data.when, own, agreeing), place.map.size)
         if size != 1.0:
